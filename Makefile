@@ -1,0 +1,39 @@
+# `make demo`: the live node on a rendered bag. `make test`: all checks. Both set up what they need in $(VENV).
+PYTHON ?= python3
+VERSIONS ?= today
+VENV ?= .venv
+BIN := $(VENV)/bin
+# Where rclpy is installed already (a robot with its ROS sourced), that one is used, and its NumPy and OpenCV.
+ROS := $(shell $(PYTHON) -c "import rclpy" 2>/dev/null && echo installed)
+ifeq ($(ROS),installed)
+  VENV_OPTIONS := --system-site-packages
+  REQUIREMENTS := -r config/requirements-tools.txt rosbags
+else
+  REQUIREMENTS := -r config/requirements-ros.txt -r config/requirements-$(VERSIONS).txt
+endif
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export ROS_DOMAIN_ID ?= 77
+
+.PHONY: demo test lint setup clean
+
+demo: setup
+	$(BIN)/python -m elevator_rectify demo --domain $(ROS_DOMAIN_ID)
+
+test: lint
+	rm -f .cache/coverage.*
+	$(BIN)/python -m coverage run -m pytest -q --durations=8
+	$(BIN)/python -m coverage combine -q && $(BIN)/python -m coverage report
+
+lint: setup
+	$(BIN)/ruff check . && $(BIN)/mypy
+
+setup: $(VENV)/ready-$(VERSIONS)
+
+$(VENV)/ready-$(VERSIONS): $(wildcard config/requirements-*.txt)
+	@echo "setting up $(VENV) (about a minute, once) ..."
+	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
+	$(BIN)/pip install --disable-pip-version-check --progress-bar on -q $(REQUIREMENTS)
+	touch $@
+
+clean:
+	rm -rf $(VENV) .cache build install log out

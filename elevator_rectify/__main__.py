@@ -1,0 +1,32 @@
+"""`python3 -m elevator_rectify PROGRAM`: the package's programs where there is no ros2 command."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+# Program: module with a main(arguments) function, and what it is for.
+PROGRAMS = {
+    "node": ("elevator_rectify.ros.node", "the ROS 2 node"),
+    "replay": ("elevator_rectify.replay", "run a bag through the pipeline, offline"),
+    "render": ("elevator_rectify.render.bag", "make a bag of rendered panels with their truth"),
+    "make_bag": ("elevator_rectify.make_bag", "make a bag from pictures and a JSON of boxes"),
+    "play": ("elevator_rectify.play", "play a bag into live topics"),
+    "demo": ("elevator_rectify.demo", "the live node, fed by a bag over DDS, checked and shown"),
+}
+
+
+def main() -> int:
+    """Run the named program with the remaining arguments."""
+    name = sys.argv[1] if len(sys.argv) > 1 else ""
+    if name not in PROGRAMS:
+        print("usage: python3 -m elevator_rectify PROGRAM ...\n")
+        print("\n".join(f"  {program:<10} {meaning}" for program, (_, meaning) in PROGRAMS.items()))
+        return 0 if name in ("", "-h", "--help") else 2
+    program = importlib.import_module(PROGRAMS[name][0])
+    # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
+    return int(program.main(sys.argv[1:] if name == "node" else sys.argv[2:]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

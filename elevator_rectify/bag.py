@@ -1,0 +1,102 @@
+"""Reading and writing rosbags without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag2 import ReaderError, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from elevator_rectify.ros.messages import MakeRosbags
+
+TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+make_bag_message = MakeRosbags(TYPESTORE)
+# 9 does not play on Humble.
+_VERSION: Literal[8] = 8
+
+
+class BadBag(ValueError):
+    """A bag that cannot be used; the text says which and why."""
+
+
+class BagWriter:
+    """Writes messages by topic; use as `with bag_writer(path) as bag`."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._connections: dict[str, Any] = {}
+
+    def write(self, topic: str, kind: str, message: Any, time_ns: int) -> None:
+        """Append a rosbags message of type `kind`."""
+        self.write_raw(topic, kind, TYPESTORE.serialize_cdr(message, kind), time_ns)
+
+    def write_raw(self, topic: str, kind: str, data: bytes | memoryview, time_ns: int) -> None:
+        """Append a serialised message."""
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=TYPESTORE)
+        self._writer.write(self._connections[topic], time_ns, data)
+
+
+@contextmanager
+def bag_writer(path: Path) -> Iterator[BagWriter]:
+    """Open a new mcap bag; raise BadBag where the path is taken."""
+    if path.exists():
+        raise BadBag(f"{path} exists already")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with Writer(path, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        yield BagWriter(writer)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One recorded message: topic, type name, log time, serialised bytes and, on demand, the message."""
+
+    topic: str
+    kind: str
+    time_ns: int
+    data: bytes
+    number: int = 0
+
+    @property
+    def message(self) -> Any:
+        """Return the deserialised rosbags message."""
+        return TYPESTORE.deserialize_cdr(self.data, self.kind)
+
+
+def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
+    """Return {topic: (type name, number of messages)}; raise BadBag where there is no readable bag."""
+    with _opened(path) as reader:
+        return {name: (str(info.msgtype), int(info.msgcount)) for name, info in reader.topics.items()}
+
+
+def read_bag(path: Path, topics: set[str] | None = None) -> Iterator[Record]:
+    """Yield the records of the topics (all where None) in log order.
+
+    Raises BadBag where the bag breaks off, after all that could be read was yielded.
+    """
+    with _opened(path) as reader:
+        chosen = [c for c in reader.connections if topics is None or c.topic in topics]
+        try:
+            for number, (connection, time_ns, data) in enumerate(reader.messages(chosen) if chosen else ()):
+                yield Record(connection.topic, connection.msgtype, time_ns, bytes(data), number)
+        except (ReaderError, AnyReaderError, OSError, ValueError, EOFError) as error:
+            raise BadBag(f"{path} breaks off: {error}") from error
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[AnyReader]:
+    try:
+        reader = AnyReader([path], default_typestore=TYPESTORE)
+        reader.open()
+    except Exception as error:
+        # rosbags raises what its parsers raise on a damaged file: struct, assertion, lookup, yaml errors.
+        raise BadBag(f"{path} is no readable bag: {error!r}") from error
+    try:
+        yield reader
+    finally:
+        reader.close()

@@ -1,0 +1,185 @@
+"""Configuration: one frozen dataclass per stage; every default, range and meaning stands here once.
+
+The path of a field is its ROS parameter's name: ``Config.em.outlier_share`` is the parameter ``em.outlier_share``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+METHODS = ("paper", "paper_as_printed")
+
+
+def value(
+    default: Any,
+    meaning: str,
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare a configuration value with its default, meaning and inclusive range (or choices)."""
+    return field(default=default, metadata={"meaning": meaning, "low": low, "high": high, "choices": choices})
+
+
+def check_value(name: str, item: Field[Any], content: object) -> None:
+    """Raise ValueError where `content` has another type than the default or lies outside the range."""
+    kind = type(item.default)
+    if kind is float and isinstance(content, int) and not isinstance(content, bool):
+        content = float(content)
+    if type(content) is not kind:
+        raise ValueError(f"{name} must be {kind.__name__}, not {content!r}")
+    meta = item.metadata
+    if meta["choices"] and content not in meta["choices"]:
+        raise ValueError(f"{name} must be one of {', '.join(meta['choices'])}, not {content!r}")
+    if isinstance(content, (int, float)) and not meta["low"] <= content <= meta["high"]:
+        raise ValueError(f"{name} must lie in [{meta['low']:g}, {meta['high']:g}], not {content!r}")
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Base of the configurations: checks type and range of every value when made."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError at the first value out of its range."""
+        for item in fields(self):
+            content = getattr(self, item.name)
+            if not is_dataclass(content):
+                check_value(f"{type(self).__name__}.{item.name}", item, content)
+
+
+@dataclass(frozen=True)
+class InputConfig(Checked):
+    """Which detections are used."""
+
+    min_detections: int = value(6, "fewest usable detections; with fewer any grid fits", low=5, high=100)
+    max_detections: int = value(200, "most detections used; beyond it the best-scored are kept", low=10, high=2000)
+    min_score: float = value(0.0, "detections with a lower score are ignored", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class EmConfig(Checked):
+    """Expectation maximisation of the paper's Gaussian mixture."""
+
+    inlier_share: float = value(0.8, "weight of the grid's component, the paper's a", low=0.01, high=0.999)
+    initial_sigma_px: float = value(640.0, "first standard deviation of a centre", low=1.0, high=1e5)
+    initial_pitch_px: float = value(100.0, "first column and row pitch, the paper's D", low=1.0, high=1e5)
+    min_sigma_px: float = value(0.3, "floor of the standard deviation; no detector is better", low=1e-9, high=10.0)
+    max_iterations: int = value(300, "EM iterations per fit", low=1, high=10000)
+    tolerance: float = value(1e-6, "stop when the log likelihood rises by less", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class MotionConfig(Checked):
+    """Levenberg-Marquardt estimate of the plane's rigid motion."""
+
+    max_iterations: int = value(50, "LM iterations per round", low=1, high=1000)
+    tolerance: float = value(1e-12, "stop when the step's squared length is smaller", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class RoundsConfig(Checked):
+    """Alternation of grid fit and motion."""
+
+    max_rounds: int = value(30, "rounds of grid fit and motion", low=1, high=1000)
+    tolerance: float = value(1e-5, "settled when the grid's corners move less, in focal lengths", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class SizeConfig(Checked):
+    """Choice of the number of rows and columns by likelihood."""
+
+    rows: int = value(0, "rows of the grid; 0: found by likelihood", low=0, high=60)
+    columns: int = value(0, "columns of the grid; 0: found by likelihood", low=0, high=60)
+    max_rows: int = value(12, "most rows tried", low=2, high=60)
+    max_columns: int = value(8, "most columns tried", low=2, high=60)
+    candidates: int = value(4, "best sizes of the first fit that are followed through all rounds", low=1, high=100)
+
+
+@dataclass(frozen=True)
+class AcceptConfig(Checked):
+    """When a fit may be used."""
+
+    min_confidence: float = value(0.5, "a fit with a lower confidence is refused", low=0.0, high=1.0)
+    min_inlier_share: float = value(0.6, "fewest inliers over detections", low=0.0, high=1.0)
+    min_occupancy: float = value(0.5, "fewest filled cells over cells", low=0.0, high=1.0)
+    max_rms_pitch: float = value(0.12, "largest rms residual, in pitches", low=1e-3, high=0.5)
+    max_rotation_std_rad: float = value(0.2, "largest standard deviation of the rotation", low=1e-3, high=3.0)
+
+
+@dataclass(frozen=True)
+class ScaleConfig(Checked):
+    """The metric scale, which one picture of a grid cannot give."""
+
+    column_pitch_m: float = value(
+        0.0, "distance of two columns; 0: unknown, then lengths are in pitches", low=0.0, high=1.0
+    )
+    column_pitch_std_m: float = value(0.002, "its standard deviation", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class NoiseConfig(Checked):
+    """Noise of the detections."""
+
+    sigma_px: float = value(1.5, "standard deviation of a detected centre", low=0.01, high=100.0)
+
+
+@dataclass(frozen=True)
+class ViewConfig(Checked):
+    """The rectified view."""
+
+    margin_pitch: float = value(1.0, "margin around the outer buttons' centres, in pitches", low=0.0, high=20.0)
+    max_size_px: int = value(1280, "largest width or height of the rectified image", low=16, high=16384)
+
+
+@dataclass(frozen=True)
+class Config:
+    """All that a fit depends on, besides its input."""
+
+    method: str = value("paper", "estimator", choices=METHODS)
+    input: InputConfig = field(default_factory=InputConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    em: EmConfig = field(default_factory=EmConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    rounds: RoundsConfig = field(default_factory=RoundsConfig)
+    size: SizeConfig = field(default_factory=SizeConfig)
+    accept: AcceptConfig = field(default_factory=AcceptConfig)
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    view: ViewConfig = field(default_factory=ViewConfig)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an unknown method."""
+        if self.method not in METHODS:
+            raise ValueError(f"Config.method must be one of {', '.join(METHODS)}, not {self.method!r}")
+
+
+def flatten(config: Any, prefix: str = "") -> dict[str, tuple[Field[Any], Any]]:
+    """Return {path: (field, value)} of a configuration and all that it contains."""
+    flat: dict[str, tuple[Field[Any], Any]] = {}
+    for item in fields(config):
+        content = getattr(config, item.name)
+        if is_dataclass(content):
+            flat.update(flatten(content, f"{prefix}{item.name}."))
+        else:
+            flat[prefix + item.name] = (item, content)
+    return flat
+
+
+def with_values(config: Any, values: dict[str, Any], prefix: str = "") -> Any:
+    """Return the configuration with the values at the given paths; ValueError for an unknown path or bad value."""
+    names = {item.name for item in fields(config)}
+    changes: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
+    for path, content in values.items():
+        head, _, rest = path.partition(".")
+        if head not in names or bool(rest) != is_dataclass(getattr(config, head)):
+            raise ValueError(f"there is no parameter '{prefix}{path}'")
+        if rest:
+            nested.setdefault(head, {})[rest] = content
+        else:
+            changes[head] = content
+    for head, inner in nested.items():
+        changes[head] = with_values(getattr(config, head), inner, f"{prefix}{head}.")
+    return replace(config, **changes)

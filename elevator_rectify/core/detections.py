@@ -1,0 +1,77 @@
+"""From any caller's detections to clean arrays: which of them can be used, and why the others cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.config import InputConfig
+from elevator_rectify.core.types import Array, Detection, IntArray
+
+
+@dataclass(frozen=True)
+class Usable:
+    """The usable detections: index (M,) into the input, rays (M, 2), sizes_px (M, 2); the others counted by reason."""
+
+    number: int
+    index: IntArray
+    rays: Array
+    sizes_px: Array
+    dropped: dict[str, int]
+
+
+def as_arrays(detections: Array | Sequence[Detection]) -> tuple[Array, Array, Array]:
+    """Return centres (N, 2) px, sizes (N, 2) px (0: unknown) and scores (N,) of an (N, 2) array or a list.
+
+    Raises ValueError for an array of another shape.
+    """
+    if len(detections) and isinstance(detections[0], Detection):
+        table = np.array(
+            [[d.x_px, d.y_px, d.width_px, d.height_px, d.score] for d in detections if isinstance(d, Detection)]
+        )
+        return table[:, :2], table[:, 2:4], table[:, 4]
+    centres = np.asarray(detections, dtype=float)
+    if centres.size == 0:
+        centres = centres.reshape(0, 2)
+    if centres.ndim != 2 or centres.shape[1] != 2:
+        raise ValueError(
+            f"detections must be (N, 2) pixels or a list of Detection, not an array of shape {centres.shape}"
+        )
+    return centres, np.zeros_like(centres), np.ones(len(centres))
+
+
+def usable_detections(detections: Array | Sequence[Detection], camera: Camera, config: InputConfig) -> Usable:
+    """Return the finite, scored, non-duplicate detections within the image and the camera's model.
+
+    Of more than `config.max_detections` the best-scored are kept; among equal scores, the first by position, so that
+    the order of the input does not matter.
+    """
+    centres, sizes, scores = as_arrays(detections)
+    reasons = [
+        ("not finite", np.isfinite(centres).all(axis=1)),
+        (
+            "outside the image",
+            ((centres >= -0.5) & (centres <= np.array([camera.width, camera.height]) - 0.5)).all(axis=1),
+        ),
+        ("low score", np.nan_to_num(scores, nan=-np.inf) >= config.min_score),
+    ]
+    keep, dropped = np.ones(len(centres), dtype=bool), {}
+    for name, passed in reasons:
+        dropped[name] = int((keep & ~passed).sum())
+        keep &= passed
+    index = np.flatnonzero(keep)
+    # By score, then position: the canonical order.
+    index = index[np.lexsort((centres[index, 1], centres[index, 0], -scores[index]))]
+    first = np.sort(np.unique(centres[index], axis=0, return_index=True)[1])
+    dropped["duplicate"] = len(index) - len(first)
+    index = index[first]
+    dropped["over the cap"] = max(0, len(index) - config.max_detections)
+    index = index[: config.max_detections]
+    rays = camera.rays(centres[index])
+    seen = np.isfinite(rays).all(axis=1)
+    dropped["beyond the distortion model"] = int((~seen).sum())
+    sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 0.0)
+    return Usable(len(centres), index[seen], rays[seen], sizes[index[seen]], {k: n for k, n in dropped.items() if n})

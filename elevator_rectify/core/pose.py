@@ -1,0 +1,92 @@
+"""Pose of a planar lattice from its homography, and the covariance of that pose.
+
+The lattice has coordinates q = (column, aspect * row): the column pitch is the unit of length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from elevator_rectify.core.types import Array
+
+
+@dataclass(frozen=True)
+class LatticePose:
+    """x_camera = R (column, aspect * row, 0) + t, in column pitches."""
+
+    R: Array
+    t: Array
+    aspect: float
+
+    def camera_points(self, lattice: Array) -> Array:
+        """Return camera-frame points (..., 3) of lattice coordinates (..., 2) = (column, row)."""
+        plane = np.asarray(lattice) * np.array([1.0, self.aspect])
+        return np.asarray(plane @ self.R[:, :2].T + self.t)
+
+
+def pose_from_homography(G: Array) -> LatticePose:
+    """Split G (3, 3), which maps (column, row, 1) to normalised image coordinates, into a pose.
+
+    G ~ [r1, aspect r2, t]. Where G is no exact pose (erratum 10: products of plane maps are not), the first two
+    columns are orthogonalised symmetrically.
+    """
+    G = G * np.sign(G[2, 2])
+    lengths = np.linalg.norm(G[:, :2], axis=0)
+    u, _, vt = np.linalg.svd(G[:, :2] / lengths, full_matrices=False)
+    axes = u @ vt
+    R = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
+    return LatticePose(R, G[:, 2] / lengths[0], float(lengths[1] / lengths[0]))
+
+
+def lattice_jacobian(lattice: Array, pose: LatticePose) -> Array:
+    """Return d(x, y) / d(t, theta, ln aspect) (N, 2, 7) for lattice points (N, 2) = (column, row).
+
+    theta: R <- exp(theta) R about the camera's axes, at the lattice's origin t. Column order follows REP-103:
+    translation, then rotation.
+    """
+    plane = lattice * np.array([1.0, pose.aspect])
+    arm = plane @ pose.R[:, :2].T
+    points = arm + pose.t
+    x, y, inverse = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1.0 / points[:, 2]
+    zero = np.zeros_like(x)
+    d_point = np.stack(
+        [np.stack([inverse, zero, -x * inverse], axis=-1), np.stack([zero, inverse, -y * inverse], axis=-1)], axis=1
+    )
+    stretch = plane[:, 1:] * pose.R[:, 1]
+    return np.concatenate([d_point, -d_point @ cross_matrix(arm), d_point @ stretch[:, :, None]], axis=2)
+
+
+def cross_matrix(v: Array) -> Array:
+    """Return [v]x (..., 3, 3) of vectors (..., 3)."""
+    zero = np.zeros(v.shape[:-1])
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    rows = [np.stack(r, axis=-1) for r in ([zero, -z, y], [z, zero, -x], [-y, x, zero])]
+    return np.stack(rows, axis=-2)
+
+
+def pose_covariance(lattice: Array, pose: LatticePose, weights: Array, sigma: float) -> Array:
+    """Return the (6, 6) covariance of (t, theta) for detections of standard deviation `sigma` (normalised units).
+
+    The aspect is unknown too and marginalised. Singular directions become infinite, not zero.
+    """
+    J = lattice_jacobian(lattice, pose)
+    information = np.einsum("n,nij,nik->jk", weights, J, J) / sigma**2
+    values, vectors = np.linalg.eigh(information)
+    if values[0] <= 1e-12 * values[-1]:
+        return np.full((6, 6), np.inf)
+    return np.asarray((vectors / values @ vectors.T)[:6, :6])
+
+
+def scale_pose_covariance(covariance: Array, t: Array, pitch: float, pitch_std: float) -> Array:
+    """Return the covariance with lengths multiplied by the column pitch, whose own uncertainty is added.
+
+    t: (3,) in column pitches. The error of the pitch moves t along itself: pitch_std^2 t t'.
+    """
+    if not np.isfinite(covariance).all():
+        return covariance
+    scale = np.diag([pitch, pitch, pitch, 1.0, 1.0, 1.0])
+    scaled = scale @ covariance @ scale
+    scaled[:3, :3] += pitch_std**2 * np.outer(t, t)
+    return np.asarray(scaled)

@@ -1,0 +1,78 @@
+"""The values that pass between the stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from elevator_rectify.core.camera import Camera
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Image = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One detected button: box centre and size in pixels, reading and score as far as known."""
+
+    x_px: float
+    y_px: float
+    width_px: float = 0.0
+    height_px: float = 0.0
+    label: str = ""
+    score: float = 1.0
+
+
+def _nan(*shape: int) -> Any:
+    return field(default_factory=lambda: np.full(shape, np.nan))
+
+
+@dataclass(frozen=True)
+class GridFit:
+    """The fitted grid and the panel's pose, or the reason why there is none.
+
+    Lengths are in metres where the column pitch is known, else in column pitches (`metric` tells). The panel frame
+    has x along a row to the right, y down a column, z into the panel; its origin is the centre of cell (0, 0).
+    Where no pose was found, the geometry is NaN; where one was found but refused, it is the refused one.
+    """
+
+    status: str
+    reason: str = ""
+    method: str = ""
+    confidence: float = 0.0
+    metric: bool = False
+    R_camera_panel: Array = _nan(3, 3)
+    t_camera_panel: Array = _nan(3)
+    pitch: Array = _nan(2)
+    covariance: Array = _nan(6, 6)
+    cells: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    rows: int = 0
+    columns: int = 0
+    grid_panel: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    grid_points: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    grid_px: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    rms_px: float = float("nan")
+    inliers: int = 0
+    iterations: int = 0
+    converged: bool = False
+    cost_x1000: float = float("nan")
+
+    @property
+    def ok(self) -> bool:
+        """Tell whether the pose may be used."""
+        return self.status == "ok"
+
+
+@dataclass(frozen=True)
+class Rectification:
+    """A fronto-parallel view: the image, its exact camera, and the homography from undistorted input pixels."""
+
+    image: Image
+    camera: Camera
+    H_rectified_image: Array
+    R_rectified_camera: Array

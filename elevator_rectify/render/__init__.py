@@ -1,0 +1,1 @@
+"""Made-up elevators with known truth: layouts, viewpoints, detections, pictures, bags."""

@@ -1,0 +1,1 @@
+"""Messages to values and back, pairing of the streams, the node: transport around the core, no mathematics."""

@@ -1,0 +1,56 @@
+"""Writes the parameters out of the dataclasses: the YAML of config/ and the README's table.
+
+`python3 -m elevator_rectify.ros.documentation yaml` or `... table`; a test keeps both files equal to this.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+from elevator_rectify.core.config import Config, flatten
+from elevator_rectify.ros.config import NodeConfig
+
+
+def all_parameters() -> dict[str, tuple[Any, Any]]:
+    """Return {path: (field, default)} of the node, in the order of the stages."""
+    return {**flatten(NodeConfig()), **flatten(Config())}
+
+
+def parameter_yaml() -> str:
+    """Return the parameter file with every default and its meaning."""
+    lines = [
+        "# Every parameter with its default. Copy it and keep what you change.",
+        "/**/elevator_rectify:",
+        "  ros__parameters:",
+    ]
+    for path, (item, default) in all_parameters().items():
+        lines += [f"    # {item.metadata['meaning']}{_limits(item)}", f"    {path}: {_literal(default)}"]
+    return "\n".join(lines) + "\n"
+
+
+def parameter_table() -> str:
+    """Return the README's table of parameters."""
+    rows = ["| parameter | default | meaning |", "| --- | --- | --- |"]
+    for path, (item, default) in all_parameters().items():
+        rows.append(f"| `{path}` | {_literal(default)} | {item.metadata['meaning']}{_limits(item)} |")
+    return "\n".join(rows)
+
+
+def _limits(item: Any) -> str:
+    meta = item.metadata
+    if meta["choices"]:
+        return " (" + ", ".join(meta["choices"]) + ")"
+    return f" ({meta['low']:g} to {meta['high']:g})" if math.isfinite(meta["low"]) else ""
+
+
+def _literal(content: Any) -> str:
+    if isinstance(content, bool):
+        return str(content).lower()
+    # YAML 1.1 takes 1e-06 for text: a float needs its point.
+    return f"{content:.1e}" if isinstance(content, float) and 0 < abs(content) < 1e-4 else str(content)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(parameter_yaml() if sys.argv[1:] == ["yaml"] else parameter_table() + "\n")

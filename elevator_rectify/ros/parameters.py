@@ -1,0 +1,59 @@
+"""ROS parameters from the configuration dataclasses: the field's path is the parameter's name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from elevator_rectify.core.config import Config, flatten, with_values
+from elevator_rectify.ros.config import NodeConfig
+
+_INT_LIMIT = 2**31 - 1
+
+
+def declare(node: Node) -> tuple[NodeConfig, Config]:
+    """Declare every value of NodeConfig (read-only) and Config, and return what the user set.
+
+    Raises ValueError for a value out of its range.
+    """
+    node_config = _declared(node, NodeConfig(), read_only=True)
+    config = _declared(node, Config(), read_only=False)
+    return node_config, config
+
+
+def _declared(node: Node, defaults: Any, read_only: bool) -> Any:
+    values = {}
+    for path, (item, default) in flatten(defaults).items():
+        values[path] = node.declare_parameter(path, default, _descriptor(item, read_only)).value
+    return with_values(defaults, values)
+
+
+def _descriptor(item: Field[Any], read_only: bool) -> ParameterDescriptor:
+    meta = item.metadata
+    descriptor = ParameterDescriptor(description=meta["meaning"], read_only=read_only)
+    if meta["choices"]:
+        descriptor.additional_constraints = "one of " + ", ".join(meta["choices"])
+    elif isinstance(item.default, int) and not isinstance(item.default, bool):
+        low, high = (int(max(-_INT_LIMIT, min(_INT_LIMIT, bound))) for bound in (meta["low"], meta["high"]))
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
+    elif isinstance(item.default, float) and math.isfinite(meta["low"]) and math.isfinite(meta["high"]):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=meta["low"], to_value=meta["high"], step=0.0)]
+    return descriptor
+
+
+def changed(config: Config, parameters: list[Parameter]) -> tuple[Config, SetParametersResult]:
+    """Return the configuration with the parameters set, or the old one and the reason why not.
+
+    Parameters that are not the configuration's (use_sim_time, QoS overrides) pass.
+    """
+    known = flatten(config)
+    values = {p.name: p.value for p in parameters if p.name in known}
+    try:
+        return with_values(config, values), SetParametersResult(successful=True)
+    except ValueError as error:
+        return config, SetParametersResult(successful=False, reason=str(error))

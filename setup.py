@@ -1,0 +1,33 @@
+"""Install elevator_rectify as an ament_python package."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "elevator_rectify"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Fits the button grid of an elevator panel, estimates its pose and rectifies its view.",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={f"{NAME}.core": ["*.json"], NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", glob("config/*.yaml") + glob("config/*.xml")),
+        (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest", "hypothesis"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "node = elevator_rectify.ros.node:main",
+            "replay = elevator_rectify.replay:main",
+            "render = elevator_rectify.render.bag:main",
+            "make_bag = elevator_rectify.make_bag:main",
+        ]
+    },
+)

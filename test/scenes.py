@@ -1,0 +1,40 @@
+"""Panels of known truth for the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from elevator_rectify.core import Camera
+from elevator_rectify.core.types import Array
+from elevator_rectify.evaluate import rotation_angle_rad
+from elevator_rectify.render.panel import PITCH_M, regular_panel
+from elevator_rectify.render.scene import PAPER_K, DetectorModel, Scene, Viewpoint, make_scene, paper_camera
+
+DISTORTED = {
+    "plumb_bob": [-0.28, 0.07, 0.0005, -0.0004, 0.0],
+    "rational_polynomial": [0.2, 0.01, 0.0002, 0.0001, 0.002, 0.5, 0.06, 0.004],
+    "equidistant": [-0.02, 0.005, -0.001, 0.0002],
+}
+
+
+def scene(
+    seed: int,
+    rows: int = 6,
+    columns: int = 3,
+    tilt_deg: float = 25.0,
+    sigma_px: float = 0.0,
+    camera: Camera | None = None,
+    **detector: float,
+) -> Scene:
+    rng = np.random.default_rng(seed)
+    view = Viewpoint(np.deg2rad(tilt_deg), rng.uniform(0, 6.28), np.deg2rad(rng.uniform(-4, 4)), 0.7)
+    panel = regular_panel(rows, columns, PITCH_M * 1.1)
+    return make_scene(panel, camera or paper_camera(), view, DetectorModel(sigma_px, **detector), rng)
+
+
+def distorted_camera(model: str) -> Camera:
+    return Camera.from_matrix(PAPER_K, 640, 480, DISTORTED[model], model)
+
+
+def rotation_error_deg(R: Array, truth: Array) -> float:
+    return float(np.rad2deg(rotation_angle_rad(R.T @ truth)))
