@@ -175,8 +175,9 @@ def before_after(outcomes: Sequence[Outcome], groups: int = 3) -> Image | None:
         pairs.append(np.hstack([row.overlay, cv2.resize(row.view, (width, height), interpolation=cv2.INTER_AREA)]))
     widest = max((pair.shape[1] for pair in pairs), default=0)
     padded = [cv2.copyMakeBorder(pair, 0, 0, 0, widest - pair.shape[1], cv2.BORDER_CONSTANT) for pair in pairs]
-    small = cv2.resize(np.vstack(padded), None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA) if padded else None
-    return small
+    if not padded:
+        return None
+    return np.asarray(cv2.resize(np.vstack(padded), None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA))
 
 
 def _tile(image: Image | None, text: str) -> Image:

@@ -66,10 +66,10 @@ def fit_paper(rays: Array, camera: Camera, config: Config, printed: bool = False
 def _rounds(rays: Array, f: float, log_area: Array, mixture: Mixture, config: Config, printed: bool) -> PaperFit:
     """Alternate motion and grid fit for one size until the image of the grid stays.
 
-    H maps the grid's plane to the image; the corrected points are H^-1 x. Erratum 10: as published, each round estimates a motion of the corrected points
-    and H is the product of the rounds' maps, which is no rigid motion: even exact points end up a few hundredths of a
-    degree off. Here each round estimates the whole motion from the grid to the detections, from the last one on, so
-    that the rounds compose into one R and t.
+    H maps the grid's plane to the image; the corrected points are H^-1 x. Erratum 10: as published, each round
+    estimates a motion of the corrected points and H is the product of the rounds' maps, which is no rigid motion: even
+    exact points end up a few hundredths of a degree off. Here each round estimates the whole motion from the grid to
+    the detections, from the last one on, so that the rounds compose into one R and t.
     """
     motion, H, settled = printed_start() if printed else no_motion(), np.eye(3), False
     iterations = int(mixture.iterations[0])
