@@ -12,6 +12,8 @@ PROGRAMS = {
     "render": ("elevator_rectify.render.bag", "make a bag of rendered panels with their truth"),
     "make_bag": ("elevator_rectify.make_bag", "make a bag from pictures and a JSON of boxes"),
     "play": ("elevator_rectify.play", "play a bag into live topics"),
+    "benchmark": ("elevator_rectify.benchmark.program", "how right, how honest, how fast: three tables"),
+    "calibrate": ("elevator_rectify.calibrate", "refit the confidence on generated scenes"),
     "demo": ("elevator_rectify.demo", "the live node, fed by a bag over DDS, checked and shown"),
 }
 

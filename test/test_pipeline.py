@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from elevator_rectify.core import Camera, Config, Detection, fit_panel
-from elevator_rectify.core.config import ScaleConfig, with_values
+from elevator_rectify.core.config import METHODS, ScaleConfig, with_values
 from elevator_rectify.core.types import Array
 from elevator_rectify.evaluate import cells_right
 from elevator_rectify.render.panel import PITCH_M
@@ -23,7 +23,7 @@ FAST = with_values(
 @pytest.mark.parametrize("seed", range(6))
 def test_noise_free_panel_is_exact(seed: int) -> None:
     truth = scene(seed, tilt_deg=15.0)
-    config = with_values(Config(), {"rounds.tolerance": 1e-10, "rounds.max_rounds": 300})
+    config = with_values(Config(), {"method": "paper", "rounds.tolerance": 1e-10, "rounds.max_rounds": 300})
     fit = fit_panel(truth.centres_px, CAMERA, config)
     assert fit.status == "ok", fit.reason
     assert (fit.rows, fit.columns) == (6, 3)
@@ -130,11 +130,12 @@ FLOATS = st.one_of(
 )
 
 
+@pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(arrays(np.float64, st.tuples(st.integers(0, 14), st.just(2)), elements=FLOATS))
+@given(points=arrays(np.float64, st.tuples(st.integers(0, 14), st.just(2)), elements=FLOATS))
 @pytest.mark.filterwarnings("error")
-def test_any_numbers_give_a_result_without_warnings(points: Array) -> None:
-    fit = fit_panel(points, CAMERA, FAST)
+def test_any_numbers_give_a_result_without_warnings(points: Array, method: str) -> None:
+    fit = fit_panel(points, CAMERA, with_values(FAST, {"method": method}))
     assert fit.status
     if fit.ok:
         assert np.isfinite(fit.t_camera_panel).all() and np.isfinite(fit.covariance).all()

@@ -41,6 +41,15 @@ def test_every_image_is_answered_and_the_accepted_are_right(replayed: Path) -> N
     assert np.mean([o.right_share() for o in regular]) > 0.97
 
 
+def test_the_joint_method_finds_every_panel(tmp_path: Path) -> None:
+    assert replay.main([str(PAPER_BAG), "--output", str(tmp_path), "--method", "joint"]) == 0
+    outcomes = read_outcomes(PAPER_BAG, tmp_path / "joint")
+    assert sum(o.ok for o in outcomes) >= 24
+    assert np.mean([o.right_share() for o in outcomes if o.ok]) > 0.98
+    # 1 px of noise: the median bound is about .7 degrees.
+    assert np.median([o.rotation_error_deg() for o in outcomes if o.ok]) < 1.0
+
+
 def test_outputs_are_written_with_the_images_stamps(replayed: Path) -> None:
     topics = bag_topics(replayed / "paper")
     assert set(topics) == {replay.OUTPUT_PREFIX + topic for topic in TOPICS}

@@ -2,8 +2,8 @@
 
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
-from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.pipeline import fit_panel, fit_panels
 from elevator_rectify.core.types import Detection, GridFit, Rectification
 from elevator_rectify.core.warp import rectify_image
 
-__all__ = ["Camera", "Config", "Detection", "GridFit", "Rectification", "fit_panel", "rectify_image"]
+__all__ = ["Camera", "Config", "Detection", "GridFit", "Rectification", "fit_panel", "fit_panels", "rectify_image"]

@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 from elevator_rectify.core.config import AcceptConfig
+from elevator_rectify.core.layout import LayoutFit
+from elevator_rectify.core.types import Array, GridFit
+
+# Written by `python3 -m elevator_rectify calibrate`.
+COEFFICIENTS = Path(__file__).with_name("confidence.json")
+FEATURES = (
+    "constant",
+    "ln inliers",
+    "inlier share",
+    "occupancy",
+    "margin",
+    "nats an inlier",
+    "ln sigma ratio",
+    "ln rotation std",
+    "free lines an inlier",
+    "few inliers",
+)
+_MARGIN_NATS = 15.0
 
 
 @dataclass(frozen=True)
@@ -20,15 +41,16 @@ class Evidence:
 
 
 def confidence(evidence: Evidence, config: AcceptConfig) -> float:
-    """Return a score in [0, 1]: how far within the limits the weakest piece of evidence is (1/2: at a limit)."""
+    """Return a score in [0, 1]: how far within the limits the weakest piece of evidence is."""
     excess = [
         (1.0 - evidence.inlier_share) / (1.0 - config.min_inlier_share + 1e-9),
         (1.0 - evidence.occupancy) / (1.0 - config.min_occupancy + 1e-9),
         evidence.rms_pitch / config.max_rms_pitch,
         evidence.rotation_std_rad / config.max_rotation_std_rad,
     ]
+    # At a limit the confidence is 0.8, the default threshold of the joint method's.
     worst = max(excess)
-    return float(1.0 / (1.0 + worst**2)) if np.isfinite(worst) else 0.0
+    return float(1.0 / (1.0 + 0.25 * worst**2)) if np.isfinite(worst) else 0.0
 
 
 def refusal(evidence: Evidence, config: AcceptConfig) -> tuple[str, str] | None:
@@ -59,3 +81,48 @@ def refusal(evidence: Evidence, config: AcceptConfig) -> tuple[str, str] | None:
         if missed:
             return status, f"{name} {number:.3g} misses its limit"
     return None
+
+
+def rotation_std_rad(covariance: Array) -> float:
+    """Return the standard deviation of the rotation about its least certain axis; infinite where undetermined."""
+    if not np.isfinite(covariance).all():
+        return float("inf")
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
+
+
+def features(fit: LayoutFit, margin: float, sigma: float, found: GridFit) -> Array:
+    """Return what the confidence of a joint fit is computed from, in the order of FEATURES."""
+    inliers = float((fit.inlier > 0.5).sum())
+    layout = fit.layout
+    free = (
+        len(layout.row_breaks)
+        + len(layout.column_breaks)
+        + float(layout.row_stagger.sum() + layout.column_stagger.sum())
+    )
+    filled = len(np.unique(fit.node[fit.inlier > 0.5]))
+    return np.array(
+        [
+            1.0,
+            np.log(max(inliers, 1.0)),
+            inliers / len(fit.inlier),
+            filled / layout.cells,
+            min(margin, _MARGIN_NATS) / _MARGIN_NATS,
+            fit.log_likelihood / max(inliers, 1.0) / 5.0,
+            np.log(fit.sigma / sigma),
+            np.log(np.clip(rotation_std_rad(found.covariance), 1e-4, 3.0)),
+            free / max(inliers, 1.0),
+            1.0 / max(inliers - 3.0, 1.0),
+        ]
+    )
+
+
+@cache
+def coefficients() -> Array:
+    """Return the logistic model's coefficients."""
+    table = json.loads(COEFFICIENTS.read_text())
+    return np.array([table["coefficients"][name] for name in FEATURES])
+
+
+def logistic_confidence(x: Array) -> float:
+    """Return the probability that a fit with these features is right."""
+    return float(1.0 / (1.0 + np.exp(-np.clip(x @ coefficients(), -30.0, 30.0))))

@@ -9,7 +9,7 @@ import math
 from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-METHODS = ("paper", "paper_as_printed")
+METHODS = ("joint", "paper", "paper_as_printed")
 
 
 def value(
@@ -60,6 +60,36 @@ class InputConfig(Checked):
 
 
 @dataclass(frozen=True)
+class HypothesesConfig(Checked):
+    """Lattice hypotheses of the joint method."""
+
+    neighbours: int = value(5, "neighbours to the right and below that a seed may use", low=1, high=20)
+    seeds: int = value(96, "best supported seeds that are grown", low=1, high=1000)
+    refined: int = value(8, "best grown hypotheses that are refined", low=1, high=100)
+    max_axis_angle_rad: float = value(0.9, "largest angle of a row from horizontal in the image", low=0.1, high=1.5)
+    max_aspect: float = value(3.5, "largest ratio of a cell's sides in the image", low=1.0, high=20.0)
+
+
+@dataclass(frozen=True)
+class JointConfig(Checked):
+    """Joint refinement of lattice and pose."""
+
+    inlier_share: float = value(0.8, "prior share of detections that are buttons of the panel", low=0.05, high=0.999)
+    log_aspect_std: float = value(0.4, "prior spread of ln(row pitch / column pitch)", low=0.01, high=10.0)
+    max_usual_tilt_rad: float = value(
+        1.0, "tilt up to which all are equally likely; beyond, the prior falls", low=0.1, high=1.5
+    )
+    max_roll_rad: float = value(0.785, "largest roll: the camera is upright within this", low=0.01, high=1.5)
+    gap_nats: float = value(4.5, "log likelihood that a gap of no whole pitch must gain", low=0.0, high=100.0)
+    stagger_nats: float = value(3.0, "log likelihood that a half-pitch row or column must gain", low=0.0, high=100.0)
+    camera_roll_rad: float = value(
+        0.0, "roll of the camera about its axis: where the panel's rows point", low=-3.15, high=3.15
+    )
+    focal_std_share: float = value(0.0, "standard deviation of the focal length over itself", low=0.0, high=0.5)
+    ambiguity_nats: float = value(3.0, "margin below which a second pose makes the fit ambiguous", low=0.0, high=100.0)
+
+
+@dataclass(frozen=True)
 class EmConfig(Checked):
     """Expectation maximisation of the paper's Gaussian mixture."""
 
@@ -102,11 +132,12 @@ class SizeConfig(Checked):
 class AcceptConfig(Checked):
     """When a fit may be used."""
 
-    min_confidence: float = value(0.5, "a fit with a lower confidence is refused", low=0.0, high=1.0)
-    min_inlier_share: float = value(0.6, "fewest inliers over detections", low=0.0, high=1.0)
-    min_occupancy: float = value(0.5, "fewest filled cells over cells", low=0.0, high=1.0)
-    max_rms_pitch: float = value(0.12, "largest rms residual, in pitches", low=1e-3, high=0.5)
-    max_rotation_std_rad: float = value(0.2, "largest standard deviation of the rotation", low=1e-3, high=3.0)
+    min_confidence: float = value(0.8, "a fit with a lower confidence is refused", low=0.0, high=1.0)
+    min_inlier_share: float = value(0.6, "paper methods: fewest inliers over detections", low=0.0, high=1.0)
+    min_occupancy: float = value(0.5, "paper methods: fewest filled cells over cells", low=0.0, high=1.0)
+    max_rms_pitch: float = value(0.12, "paper methods: largest rms residual, in pitches", low=1e-3, high=0.5)
+    covariance_scale: float = value(1.25, "factor on the covariance, from calibration", low=0.01, high=100.0)
+    max_rotation_std_rad: float = value(0.1, "largest standard deviation of the rotation", low=1e-3, high=3.0)
 
 
 @dataclass(frozen=True)
@@ -123,7 +154,13 @@ class ScaleConfig(Checked):
 class NoiseConfig(Checked):
     """Noise of the detections."""
 
-    sigma_px: float = value(1.5, "standard deviation of a detected centre", low=0.01, high=100.0)
+    sigma_px: float = value(
+        1.5, "standard deviation of a detected centre, for an image 640 px long", low=0.01, high=100.0
+    )
+    sigma_per_size: float = value(
+        0.06, "standard deviation over the size of a box, where boxes have one", low=1e-3, high=1.0
+    )
+    min_sigma_px: float = value(1.0, "smallest standard deviation, where boxes have a size", low=0.01, high=100.0)
 
 
 @dataclass(frozen=True)
@@ -138,9 +175,11 @@ class ViewConfig(Checked):
 class Config:
     """All that a fit depends on, besides its input."""
 
-    method: str = value("paper", "estimator", choices=METHODS)
+    method: str = value("joint", "estimator", choices=METHODS)
     input: InputConfig = field(default_factory=InputConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
+    hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
+    joint: JointConfig = field(default_factory=JointConfig)
     em: EmConfig = field(default_factory=EmConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     rounds: RoundsConfig = field(default_factory=RoundsConfig)

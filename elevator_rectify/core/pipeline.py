@@ -3,33 +3,98 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
+from elevator_rectify.core.joint import JointFit, fit_joint, track_joint, turned
+from elevator_rectify.core.lattice_fit import rotations
 from elevator_rectify.core.paper import fit_paper
-from elevator_rectify.core.result import failed_fit, grid_fit
+from elevator_rectify.core.result import failed_fit, joint_fit, layout_of, paper_fit
 from elevator_rectify.core.types import Array, Detection, GridFit
 
 DEFAULT_CONFIG = Config()
 
 
-def fit_panel(detections: Array | Sequence[Detection], camera: Camera, config: Config = DEFAULT_CONFIG) -> GridFit:
+def fit_panel(
+    detections: Array | Sequence[Detection],
+    camera: Camera,
+    config: Config = DEFAULT_CONFIG,
+    previous: GridFit | None = None,
+) -> GridFit:
     """Fit the button grid and the panel's pose to one image's detections.
 
-    detections: (N, 2) pixels of the (distorted) image, or a list of Detection. Never raises for what a detector may
-    send: "no panel" is a result whose status and reason say why. Raises ValueError for an array of a wrong shape.
+    detections: (N, 2) pixels of the (distorted) image, or a list of Detection. previous: an accepted fit of the frame
+    before, from which the joint method starts; where it does not explain this frame, the fit is made from scratch.
+    Never raises for what a detector may send: "no panel" is a result whose status and reason say why. Raises
+    ValueError for an array of a wrong shape.
     """
     usable = usable_detections(detections, camera, config.input)
     if len(usable.index) < config.input.min_detections:
         reason = f"{len(usable.index)} usable detections, {config.input.min_detections} needed{_dropped(usable)}"
         return failed_fit("too_few_detections", reason, usable, config)
-    if _is_line(usable.rays, 2.0 * config.noise.sigma_px / camera.focal_px):
+    sigma = _sigma_px(usable, camera, config) / camera.focal_px
+    if _is_line(usable.rays, 2.0 * sigma):
         return failed_fit("collinear", "all detections lie on one line: one row or column has no pose", usable, config)
+    if config.method == "joint":
+        return joint_fit(_joint(usable, camera, sigma, config, previous), usable, camera, sigma, config)
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
-    return grid_fit(fit, usable, camera, config)
+    return paper_fit(fit, usable, camera, config)
+
+
+def fit_panels(
+    detections: Array | Sequence[Detection], camera: Camera, config: Config = DEFAULT_CONFIG
+) -> list[GridFit]:
+    """Fit all panels of one image, the best supported first; each with its own status, the last one may be none.
+
+    Every further panel is fitted to the detections that the ones before left out; `cells` index the whole input.
+    """
+    fits: list[GridFit] = []
+    left = np.arange(len(detections))
+    while True:
+        subset = [detections[int(k)] for k in left]
+        fit = fit_panel(
+            subset if subset and isinstance(subset[0], Detection) else np.array(subset).reshape(-1, 2), camera, config
+        )
+        if fits and not np.isfinite(fit.t_camera_panel).all():
+            return fits
+        cells = np.full((len(detections), 2), -1, dtype=np.int64)
+        cells[left] = fit.cells
+        fits.append(replace(fit, cells=cells))
+        taken = fit.cells[:, 0] >= 0
+        if not taken.any() or len(left) - taken.sum() < config.input.min_detections:
+            return fits
+        left = left[~taken]
+
+
+def _joint(usable: Usable, camera: Camera, sigma: float, config: Config, previous: GridFit | None) -> JointFit | None:
+    """Track the previous fit, or search."""
+    area = camera.width * camera.height / camera.focal_px**2
+    # Seen in a camera turned upright, the panel's rows point to the right.
+    R_upright_camera = rotations(np.array([[0.0, 0.0, -config.joint.camera_roll_rad]]))[0]
+    rays = usable.rays @ R_upright_camera[:2, :2].T
+    if previous is not None and previous.ok and previous.method == "joint":
+        share = previous.inliers / max(1, len(previous.cells))
+        last = turned(layout_of(previous), R_upright_camera)
+        tracked = track_joint(last, share, rays, sigma, area, config)
+        if tracked is not None:
+            return JointFit(turned(tracked, R_upright_camera.T), None, previous.margin_nats)
+    fit = fit_joint(rays, sigma, area, config)
+    if fit is None:
+        return None
+    other = turned(fit.other, R_upright_camera.T) if fit.other else None
+    return JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
+
+
+def _sigma_px(usable: Usable, camera: Camera, config: Config) -> float:
+    """Return the standard deviation of the detected centres: of boxes a share of their size, else by the image's."""
+    sizes = np.sqrt(usable.sizes_px.prod(axis=1))
+    if (sizes > 0).all():
+        return max(config.noise.min_sigma_px, config.noise.sigma_per_size * float(np.median(sizes)))
+    return config.noise.sigma_px * max(1.0, max(camera.width, camera.height) / 640.0)
 
 
 def _is_line(rays: Array, tolerance: float) -> bool:

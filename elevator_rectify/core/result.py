@@ -1,4 +1,4 @@
-"""From an estimator's map of the lattice to the result that users get: pose, covariance, grid, status."""
+"""From an estimator's fit to the result that users get: pose, covariance, grid, status."""
 
 from __future__ import annotations
 
@@ -7,9 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.core.camera import Camera
-from elevator_rectify.core.confidence import Evidence, confidence, refusal
+from elevator_rectify.core.confidence import (
+    Evidence,
+    confidence,
+    features,
+    logistic_confidence,
+    refusal,
+    rotation_std_rad,
+)
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
+from elevator_rectify.core.joint import JointFit
+from elevator_rectify.core.lattice_fit import ANNEALING, Poses
+from elevator_rectify.core.layout import Layout, LayoutFit, pose_at
 from elevator_rectify.core.paper import PaperFit
 from elevator_rectify.core.pose import LatticePose, pose_covariance, pose_from_homography, scale_pose_covariance
 from elevator_rectify.core.types import Array, GridFit, IntArray
@@ -22,13 +32,17 @@ def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> Grid
 
 
 @dataclass(frozen=True)
-class _Residuals:
-    rms_px: float
-    rms_pitch: float
-    on_grid: IntArray
+class Geometry:
+    """What an estimator found, in column pitches: nodes (rows, columns, 2) lattice coordinates (column, row) relative
+    to cell (0, 0), cells (M, 2) of the usable detections, covariance (6, 6) of (t, rotation)."""
+
+    pose: LatticePose
+    nodes: Array
+    cells: IntArray
+    covariance: Array
 
 
-def grid_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> GridFit:
+def paper_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> GridFit:
     """Turn the paper's fit into a GridFit and decide its status."""
     found = replace(
         failed_fit("ok", "", usable, config),
@@ -41,12 +55,91 @@ def grid_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> G
     rows, columns = (len(np.unique(fit.cells[fit.cells[:, 0] >= 0, k])) for k in (0, 1))
     if rows < 2 or columns < 2:
         return replace(found, status="collinear", reason=f"{rows} row(s) x {columns} column(s) do not determine a pose")
-    pose = pose_from_homography(fit.G)
-    cells, pose, size = _trimmed(fit.cells, pose)
-    shape = (int(size[0]), int(size[1]))
-    if not (pose.camera_points(_lattice(*shape))[..., 2] > 1e-6).all():
+    cells, pose, size = _trimmed(fit.cells, pose_from_homography(fit.G))
+    nodes = _lattice(int(size[0]), int(size[1]))
+    if not (pose.camera_points(nodes)[..., 2] > 1e-6).all():
         return replace(found, status="no_lattice", reason="part of the fitted grid lies behind the camera")
-    return _with_geometry(found, pose, cells, shape, usable, camera, config)
+    inlier = cells[:, 0] >= 0
+    error = _errors(pose, nodes, cells, usable.rays)
+    sigma = max(float(np.sqrt((error**2).mean() / 2.0)), config.noise.sigma_px / camera.focal_px)
+    covariance = pose_covariance(cells[inlier][:, ::-1].astype(float), pose, np.ones(int(inlier.sum())), sigma)
+    found = with_geometry(found, Geometry(pose, nodes, cells, covariance), usable, camera, config)
+    evidence = _evidence(found, pose, nodes, cells, usable, covariance)
+    refused = refusal(evidence, config.accept)
+    status, reason = refused or ("ok", "")
+    return replace(found, status=status, reason=reason, confidence=confidence(evidence, config.accept))
+
+
+def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float, config: Config) -> GridFit:
+    """Turn the joint method's fit into a GridFit and decide its status."""
+    found = failed_fit("no_lattice", "no lattice of two rows and two columns explains the detections", usable, config)
+    if fit is None:
+        return found
+    best = _layout_result(fit.best, found, usable, camera, config)
+    score = logistic_confidence(features(fit.best, fit.margin, sigma, best))
+    best = replace(best, confidence=score, margin_nats=fit.margin)
+    if fit.other is not None and fit.margin < config.joint.ambiguity_nats:
+        other = _layout_result(fit.other, found, usable, camera, config)
+        reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
+        return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
+    spread = rotation_std_rad(best.covariance)
+    if spread > config.accept.max_rotation_std_rad:
+        reason = f"the rotation is known to {spread:.3f} rad only, {config.accept.max_rotation_std_rad:g} allowed"
+        return replace(best, status="uncertain", reason=reason)
+    if score < config.accept.min_confidence:
+        return replace(
+            best, status="low_confidence", reason=f"confidence {score:.3f} < {config.accept.min_confidence:g}"
+        )
+    return replace(best, status="ok", reason="")
+
+
+def _layout_result(fit: LayoutFit, found: GridFit, usable: Usable, camera: Camera, config: Config) -> GridFit:
+    """Return the geometry of a layout fit."""
+    layout = fit.layout
+    origin = layout.nodes[0, 0]
+    pose, covariance = pose_at(fit, usable.rays, origin, config.joint)
+    covariance[:] *= config.accept.covariance_scale
+    nodes = layout.nodes - origin
+    found = with_geometry(found, Geometry(pose, nodes, fit.cells, covariance), usable, camera, config)
+    error = _errors(pose, nodes, fit.cells, usable.rays)
+    depth = float(pose.t[2])
+    return replace(
+        found,
+        converged=True,
+        iterations=len(ANNEALING),
+        # The paper's metric: mean squared distance in the corrected plane at the panel's depth.
+        cost_x1000=float(1e3 * (error**2).sum() / max(1, len(usable.rays))) if depth > 0 else float("nan"),
+        row_positions=layout.rows - layout.rows[0],
+        column_positions=layout.columns - layout.columns[0],
+        row_staggered=layout.row_stagger > 0.5,
+        column_staggered=layout.column_stagger > 0.5,
+        row_block=_blocks(len(layout.rows), layout.row_breaks),
+        column_block=_blocks(len(layout.columns), layout.column_breaks),
+    )
+
+
+def layout_of(fit: GridFit) -> LayoutFit:
+    """Return pose and layout of a result, as the start of the next frame's fit."""
+    unit = float(fit.pitch[0])
+    layout = Layout(
+        fit.row_positions,
+        fit.column_positions,
+        fit.row_staggered.astype(float),
+        fit.column_staggered.astype(float),
+        tuple(int(k) + 1 for k in np.flatnonzero(np.diff(fit.row_block))),
+        tuple(int(k) + 1 for k in np.flatnonzero(np.diff(fit.column_block))),
+    )
+    nodes = layout.nodes
+    centre = nodes.reshape(-1, 2).mean(axis=0)
+    aspect = float(fit.pitch[1]) / unit
+    t = fit.t_camera_panel / unit + fit.R_camera_panel[:, :2] @ ((centre - nodes[0, 0]) * np.array([1.0, aspect]))
+    pose = Poses(fit.R_camera_panel[None], t[None], np.array([np.log(aspect)]), centre[None], np.zeros(1))
+    return LayoutFit(pose, layout, np.zeros(0, dtype=np.int64), np.zeros(0), 0.0, 0.0)
+
+
+def _blocks(number: int, breaks: tuple[int, ...]) -> IntArray:
+    """Return the block of each line."""
+    return np.searchsorted(np.array(breaks, dtype=np.int64), np.arange(number), side="right").astype(np.int64)
 
 
 def _trimmed(cells: IntArray, pose: LatticePose) -> tuple[IntArray, LatticePose, IntArray]:
@@ -64,65 +157,58 @@ def _lattice(rows: int, columns: int) -> Array:
     return np.stack([j, i], axis=-1)
 
 
-def _with_geometry(
-    found: GridFit,
-    pose: LatticePose,
-    cells: IntArray,
-    shape: tuple[int, int],
-    usable: Usable,
-    camera: Camera,
-    config: Config,
-) -> GridFit:
-    """Fill in pose, covariance and grid in the user's units, and refuse what misses a limit."""
+def with_geometry(found: GridFit, geometry: Geometry, usable: Usable, camera: Camera, config: Config) -> GridFit:
+    """Fill in pose, covariance and grid in the user's units."""
     metric = config.scale.column_pitch_m > 0
     unit = config.scale.column_pitch_m if metric else 1.0
-    residuals = _residuals(pose, cells, usable.rays)
-    inlier = cells[:, 0] >= 0
-    sigma = max(residuals.rms_px / np.sqrt(2.0), config.noise.sigma_px / camera.focal_px)
-    covariance = pose_covariance(cells[inlier][:, ::-1].astype(float), pose, np.ones(int(inlier.sum())), sigma)
     std = config.scale.column_pitch_std_m if metric else 0.0
-    lattice = _lattice(*shape)
-    points = pose.camera_points(lattice) * unit
+    pose, nodes, cells = geometry.pose, geometry.nodes, geometry.cells
+    points = pose.camera_points(nodes) * unit
     all_cells = np.full((usable.number, 2), -1, dtype=np.int64)
     all_cells[usable.index] = cells
-    evidence = Evidence(
-        inlier_share=float(inlier.mean()),
-        occupancy=len(np.unique(cells[inlier], axis=0)) / float(np.prod(shape)),
-        rms_pitch=residuals.rms_pitch,
-        rotation_std_rad=float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
-        if np.isfinite(covariance).all()
-        else np.inf,
-    )
-    refused = refusal(evidence, config.accept)
+    error = _errors(pose, nodes, cells, usable.rays)
+    rows, columns = nodes.shape[:2]
     return replace(
         found,
-        status=refused[0] if refused else "ok",
-        reason=refused[1] if refused else "",
-        confidence=confidence(evidence, config.accept),
         metric=metric,
         R_camera_panel=pose.R,
         t_camera_panel=pose.t * unit,
         pitch=np.array([1.0, pose.aspect]) * unit,
-        covariance=scale_pose_covariance(covariance, pose.t, unit, std),
+        covariance=scale_pose_covariance(geometry.covariance, pose.t, unit, std),
         cells=all_cells,
-        rows=shape[0],
-        columns=shape[1],
-        grid_panel=lattice * np.array([1.0, pose.aspect]) * unit,
+        rows=rows,
+        columns=columns,
+        row_positions=np.arange(rows, dtype=float),
+        column_positions=np.arange(columns, dtype=float),
+        row_staggered=np.zeros(rows, dtype=bool),
+        column_staggered=np.zeros(columns, dtype=bool),
+        row_block=np.zeros(rows, dtype=np.int64),
+        column_block=np.zeros(columns, dtype=np.int64),
+        grid_panel=nodes * np.array([1.0, pose.aspect]) * unit,
         grid_points=points,
         grid_px=camera.project(points),
-        rms_px=residuals.rms_px * camera.focal_px,
-        inliers=int(inlier.sum()),
+        rms_px=float(np.sqrt((error**2).mean())) * camera.focal_px,
+        inliers=len(error),
     )
 
 
-def _residuals(pose: LatticePose, cells: IntArray, rays: Array) -> _Residuals:
-    """Return the rms distance of the inliers from their grid centres, in normalised units and in local pitches."""
+def _errors(pose: LatticePose, nodes: Array, cells: IntArray, rays: Array) -> Array:
+    """Return the distance of each inlier from its node, in normalised units."""
     inlier = cells[:, 0] >= 0
-    at = cells[inlier][:, ::-1].astype(float)
-    points = pose.camera_points(at)
-    centres = points[:, :2] / points[:, 2:]
-    error = np.linalg.norm(rays[inlier] - centres, axis=1)
-    pitch = min(1.0, pose.aspect) / points[:, 2]
-    return _Residuals(
-        float(np.sqrt((error**2).mean())), float(np.sqrt(((error / pitch) ** 2).mean())), np.flatnonzero(inlier)
+    points = pose.camera_points(nodes[cells[inlier, 0], cells[inlier, 1]])
+    return np.asarray(np.linalg.norm(rays[inlier] - points[:, :2] / points[:, 2:], axis=1))
+
+
+def _evidence(
+    found: GridFit, pose: LatticePose, nodes: Array, cells: IntArray, usable: Usable, covariance: Array
+) -> Evidence:
+    """Return what speaks for the paper's fit."""
+    inlier = cells[:, 0] >= 0
+    depth = pose.camera_points(nodes[cells[inlier, 0], cells[inlier, 1]])[:, 2]
+    pitches = _errors(pose, nodes, cells, usable.rays) * depth / min(1.0, pose.aspect)
+    return Evidence(
+        inlier_share=float(inlier.mean()),
+        occupancy=len(np.unique(cells[inlier], axis=0)) / float(found.rows * found.columns),
+        rms_pitch=float(np.sqrt((pitches**2).mean())),
+        rotation_std_rad=rotation_std_rad(covariance),
     )

@@ -39,6 +39,11 @@ class GridFit:
     Lengths are in metres where the column pitch is known, else in column pitches (`metric` tells). The panel frame
     has x along a row to the right, y down a column, z into the panel; its origin is the centre of cell (0, 0).
     Where no pose was found, the geometry is NaN; where one was found but refused, it is the refused one.
+
+    row_positions, column_positions: in pitches; a staggered row is half a pitch to the right, a staggered column half
+    a pitch down; row_block, column_block: number of the regular block, counted from 0, divided by gaps that are no
+    whole pitch. alternatives: with status 'ambiguous', the other poses that explain the detections almost as well;
+    margin_nats: the log likelihood between the best and the next one.
     """
 
     status: str
@@ -53,6 +58,12 @@ class GridFit:
     cells: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     rows: int = 0
     columns: int = 0
+    row_positions: Array = field(default_factory=lambda: np.zeros(0))
+    column_positions: Array = field(default_factory=lambda: np.zeros(0))
+    row_staggered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    column_staggered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    row_block: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    column_block: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     grid_panel: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
     grid_points: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
     grid_px: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
@@ -61,6 +72,8 @@ class GridFit:
     iterations: int = 0
     converged: bool = False
     cost_x1000: float = float("nan")
+    margin_nats: float = float("inf")
+    alternatives: tuple[GridFit, ...] = ()
 
     @property
     def ok(self) -> bool:

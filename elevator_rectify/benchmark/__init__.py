@@ -1,0 +1,1 @@
+"""Benchmarks: how right, how honest and how fast the estimators are."""

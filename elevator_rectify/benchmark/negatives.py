@@ -1,0 +1,66 @@
+"""Detections without a panel: what must not be accepted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from elevator_rectify.core.config import Config
+from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.render.scene import paper_camera
+
+_SIZE = np.array([640.0, 480.0])
+
+
+def uniform(rng: np.random.Generator) -> Array:
+    """Return points anywhere."""
+    return rng.uniform(0, _SIZE, (int(rng.integers(6, 41)), 2))
+
+
+def clustered(rng: np.random.Generator) -> Array:
+    """Return points in a few heaps."""
+    centres = rng.uniform(60, _SIZE - 60, (int(rng.integers(2, 5)), 2))
+    number = int(rng.integers(6, 41))
+    return np.asarray(
+        np.clip(centres[rng.integers(len(centres), size=number)] + rng.normal(0, 25, (number, 2)), 0, _SIZE - 1)
+    )
+
+
+def collinear(rng: np.random.Generator) -> Array:
+    """Return points on one line, some pixels off."""
+    ends = rng.uniform(0, _SIZE, (2, 2))
+    s = np.sort(rng.uniform(0, 1, (int(rng.integers(6, 21)), 1)), axis=0)
+    points = ends[0] + s * (ends[1] - ends[0]) + rng.normal(0, 2.0, (len(s), 2))
+    return np.asarray(np.clip(points, 0, _SIZE - 1))
+
+
+def curves(rng: np.random.Generator) -> Array:
+    """Return points along a circle's arc or a parabola."""
+    s = np.linspace(0, 1, int(rng.integers(6, 25)))
+    centre, radius, start, span = (
+        rng.uniform(150, 330, 2),
+        rng.uniform(60, 200),
+        rng.uniform(0, 6.28),
+        rng.uniform(1.5, 6.28),
+    )
+    arc = centre + radius * np.column_stack([np.cos(start + span * s), np.sin(start + span * s)])
+    parabola = np.column_stack([600 * s + 20, 100 + rng.uniform(300, 1200) * (s - rng.uniform(0.3, 0.7)) ** 2])
+    points = (arc if rng.random() < 0.5 else parabola) + rng.normal(0, 1.5, (len(s), 2))
+    return np.clip(points, 0, _SIZE - 1)
+
+
+def boxes(rng: np.random.Generator) -> Array:
+    """Return the box centres of a crowd: a few sizes, loosely in a row."""
+    number = int(rng.integers(6, 20))
+    return np.asarray(
+        np.clip(np.column_stack([rng.uniform(20, 620, number), 240 + rng.normal(0, 60, number)]), 0, _SIZE - 1)
+    )
+
+
+KINDS = {"uniform": uniform, "clustered": clustered, "collinear": collinear, "curves": curves, "crowd": boxes}
+
+
+def run_negative(kind: str, seed: int, number: int) -> GridFit:
+    """Fit one draw."""
+    rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
+    return fit_panel(KINDS[kind](rng), paper_camera(), Config())

@@ -1,0 +1,27 @@
+"""Runs independent tasks on all cores, each on one thread, in their order."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import cv2
+
+from elevator_rectify.progress import progress
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def _single_thread() -> None:
+    cv2.setNumThreads(1)
+
+
+def parallel(function: Callable[[T], R], tasks: Sequence[T], title: str, workers: int | None = None) -> list[R]:
+    """Return function(task) for every task; with a progress bar."""
+    # BLAS reads it when it is loaded: the workers are fresh interpreters.
+    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+    with multiprocessing.get_context("spawn").Pool(workers or os.cpu_count(), _single_thread) as pool:
+        return list(progress(pool.imap(function, tasks, chunksize=8), title, len(tasks)))

@@ -1,0 +1,70 @@
+"""Command line of the benchmarks: three tables and their pictures."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from pathlib import Path
+
+import cv2
+
+from elevator_rectify.benchmark.negatives import KINDS, run_negative
+from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.benchmark.real import mixed, photographs
+from elevator_rectify.benchmark.synthetic import HEADER, Trial, oracle_row, run_trial, table_row, yardstick_ms
+from elevator_rectify.core.config import METHODS
+from elevator_rectify.render.levels import LEVELS
+
+
+def _trial(task: tuple[str, str, int, int]) -> Trial:
+    method, level, seed, number = task
+    return run_trial(level, seed, number, method)
+
+
+def _negative(task: tuple[str, int, int]) -> bool:
+    return run_negative(*task).ok
+
+
+def synthetic_table(levels: list[str], methods: list[str], trials: int, seed: int) -> str:
+    """Return the table of generated panels."""
+    cv2.setNumThreads(1)
+    yardstick = yardstick_ms()
+    lines = [HEADER]
+    for level in levels:
+        for method in methods:
+            tasks = [(method, level, seed, n) for n in range(trials)]
+            results = parallel(_trial, tasks, f"{level} {method}")
+            lines.append(table_row(level, method, results, yardstick))
+        lines.append(oracle_row(level, results))
+    lines.append(f"yardstick: one cv2.warpPerspective of a 640 x 480 colour image, {yardstick:.2f} ms on one thread")
+    return "\n".join(lines)
+
+
+def negative_table(draws: int, seed: int) -> str:
+    """Return the table of false acceptance."""
+    lines = [f"{'without a panel':<17}{'draws':>7}{'accepted':>10}{'%':>8}"]
+    for kind in KINDS:
+        results = Counter(parallel(_negative, [(kind, seed, n) for n in range(draws)], kind))
+        lines.append(f"{kind:<17}{draws:>7}{results[True]:>10}{100.0 * results[True] / draws:>8.3f}")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables that were asked for."""
+    parser = argparse.ArgumentParser(prog="benchmark", description=__doc__)
+    parser.add_argument("--trials", type=int, default=400, help="generated panels a level")
+    parser.add_argument("--levels", default="easy,medium,hard,gaps", help=f"of {','.join(LEVELS)}")
+    parser.add_argument("--methods", default="joint", help=f"of {','.join(METHODS)}")
+    parser.add_argument("--seed", type=int, default=1001)
+    parser.add_argument("--draws", type=int, default=1000, help="draws a kind of detections without a panel; 0: none")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
+    options = parser.parse_args(arguments)
+    if options.trials:
+        print(synthetic_table(options.levels.split(","), options.methods.split(","), options.trials, options.seed))
+    if options.draws:
+        print("\n" + negative_table(options.draws, options.seed))
+    if (options.data / "photos" / "photos.json").exists():
+        print("\n" + photographs(options.data) + "\n\n" + mixed(options.data))
+    else:
+        print(f"\nreal panels skipped: there is no {options.data}/photos")
+    return 0

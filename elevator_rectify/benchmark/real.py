@@ -1,0 +1,165 @@
+"""Real panels: photographs with physical straight edges, and outlines of 109 panels. Skipped where they are absent."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.config import Config
+from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.types import Array, Detection, GridFit
+
+ASSUMED_FOCAL = 0.9
+_CONFIG = Config()
+
+
+def boxes_to_detections(boxes: Array) -> list[Detection]:
+    """Return detections of boxes (N, 4) xmin, ymin, xmax, ymax."""
+    return [Detection(float((a + c) / 2), float((b + d) / 2), float(c - a), float(d - b)) for a, b, c, d in boxes]
+
+
+def centred_camera(size: Array, focal_over_max_size: float) -> Camera:
+    """Return a camera with its principal point in the middle."""
+    width, height = float(size[0]), float(size[1])
+    f = focal_over_max_size * max(width, height)
+    return Camera.from_matrix([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]], int(width), int(height))
+
+
+def edge_deviations_deg(entry: dict[str, Any], H: Array) -> Array:
+    """Return the angles of the physical edges from upright (or level) after the homography H."""
+    angles = []
+    for name, axis in (("vertical", 1), ("horizontal", 0)):
+        lines = np.array(entry[name], dtype=float).reshape(-1, 2, 2)
+        ends = cv2.perspectiveTransform(lines.reshape(-1, 1, 2), H).reshape(-1, 2, 2)
+        d = ends[:, 1] - ends[:, 0]
+        angles.append(np.rad2deg(np.arctan2(np.abs(d[:, 1 - axis]), np.abs(d[:, axis]))))
+    return np.concatenate(angles)
+
+
+def rectifying_map(camera: Camera, fit: GridFit) -> Array:
+    """Return the homography (3, 3) that turns the picture to face the panel."""
+    return np.asarray(camera.matrix @ fit.R_camera_panel.T @ np.linalg.inv(camera.matrix))
+
+
+def photographs(folder: Path) -> str:
+    """Return the table of the photographs: edges before and after, right cells, verdict."""
+    entries = json.loads((folder / "photos" / "photos.json").read_text())
+    lines, before_all, after_all = [f"{'photo':<7}{'boxes':>6}{'before':>8}{'after':>7}{'cells':>7}  verdict"], [], []
+    for name, entry in sorted(entries.items()):
+        camera = centred_camera(np.array(entry["size"]), entry["focal_over_max_size"] or ASSUMED_FOCAL)
+        fit = fit_panel(boxes_to_detections(np.array(entry["boxes"])), camera, _CONFIG)
+        before = edge_deviations_deg(entry, np.eye(3)).mean()
+        after = edge_deviations_deg(entry, rectifying_map(camera, fit)).mean() if fit.ok else float("nan")
+        if fit.ok:
+            before_all.append(before)
+            after_all.append(after)
+        verdict = "ok" if fit.ok else f"{fit.status}: {fit.reason}"
+        lines.append(
+            f"{name:<7}{len(entry['boxes']):>6}{before:>8.2f}{after:>7.2f}{_cells(entry, fit):>7.2f}  {verdict}"
+        )
+    lines.append(
+        f"accepted {len(after_all)} of {len(entries)}: edges before {np.mean(before_all):.2f}, after "
+        f"{np.mean(after_all):.2f} mean, {np.median(after_all):.2f} median, {np.max(after_all):.2f} worst, degrees"
+    )
+    return "\n".join(lines)
+
+
+def _cells(entry: dict[str, Any], fit: GridFit) -> float:
+    """Return the share of the main block's buttons in the right relative cell."""
+    labelled = [(n, cell) for n, cell in enumerate(entry["cells"]) if cell is not None and entry["block"][n] == 0]
+    pairs = [tuple(fit.cells[n] - np.array(cell)) for n, cell in labelled if fit.cells[n, 0] >= 0]
+    return max((pairs.count(p) for p in set(pairs)), default=0) / max(1, len(labelled))
+
+
+def _buttons(entry: dict[str, Any]) -> list[dict[str, Any]]:
+    return [region for region in entry["regions"] if region["kind"] == "button"]
+
+
+def mixed(folder: Path) -> str:
+    """Return the figures of the 109 panels: accepted, on the lattice, left-out buttons predicted, outlines' shape."""
+    entries = json.loads((folder / "panels_mixed.json").read_text())
+    judged = accepted = on = total = tried = predicted = 0
+    ratios: list[float] = []
+    for entry in entries.values():
+        regions = _buttons(entry)
+        boxes = np.array([region["box"] for region in regions]).reshape(-1, 4)
+        if not _judgeable(boxes):
+            continue
+        judged += 1
+        # The size of the picture is unknown: that of the labelled part, with a margin.
+        corner = np.array([region["box"] for region in entry["regions"]])[:, 2:].max(axis=0)
+        camera = centred_camera(np.ceil(1.15 * corner), ASSUMED_FOCAL)
+        detections = boxes_to_detections(boxes)
+        fit = fit_panel(detections, camera, _CONFIG)
+        if not fit.ok:
+            continue
+        accepted += 1
+        on, total = on + fit.inliers, total + len(boxes)
+        hits = [_predicts(detections, k, camera) for k in range(len(boxes))]
+        tried, predicted = tried + len(hits), predicted + sum(hits)
+        ratios += axis_ratios(regions, camera, fit)
+    return (
+        f"panels with six buttons in two rows and two columns: {judged}, accepted {accepted / judged:.3f}\n"
+        f"of their buttons on the lattice {on / total:.3f}; left out in turn and predicted within 0.35 of its size "
+        f"{predicted / tried:.3f}\n"
+        f"ellipses after rectification: median axis ratio {np.median(ratios):.3f} of {len(ratios)}"
+    )
+
+
+def _judgeable(boxes: Array) -> bool:
+    """Tell whether there are six buttons in at least two rows and two columns, by the boxes' overlap."""
+    if len(boxes) < 6:
+        return False
+    return all(_lines(boxes[:, k], boxes[:, k + 2]) >= 2 for k in (0, 1))
+
+
+def _lines(low: Array, high: Array) -> int:
+    """Count the groups of intervals whose centres are further apart than half an interval."""
+    centres = np.sort((low + high) / 2)
+    return 1 + int((np.diff(centres) > 0.5 * np.median(high - low)).sum())
+
+
+def _predicts(detections: list[Detection], k: int, camera: Camera) -> bool:
+    """Tell whether the fit to all others has a grid centre within 0.35 of the size of detection k."""
+    fit = fit_panel(detections[:k] + detections[k + 1 :], camera, _CONFIG)
+    if not np.isfinite(fit.t_camera_panel).all():
+        return False
+    # The left-out button may be one cell outside of the seen grid.
+    nodes = _extended(fit)
+    pixels = camera.project(nodes @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
+    d = detections[k]
+    distance = np.linalg.norm(pixels - [d.x_px, d.y_px], axis=-1)
+    return bool(np.nanmin(distance) < 0.35 * np.sqrt(d.width_px * d.height_px))
+
+
+def _extended(fit: GridFit) -> Array:
+    """Return the grid's points in the panel (M, 2), with one more row and column on each side."""
+    rows = np.concatenate([[-1.0], fit.row_positions, [fit.row_positions[-1] + 1]])
+    columns = np.concatenate([[-1.0], fit.column_positions, [fit.column_positions[-1] + 1]])
+    row_shift = np.concatenate([[0.0], 0.5 * fit.row_staggered, [0.0]])
+    column_shift = np.concatenate([[0.0], 0.5 * fit.column_staggered, [0.0]])
+    u = columns[None, :] + row_shift[:, None]
+    v = rows[:, None] + column_shift[None, :]
+    u0 = fit.column_positions[0] + 0.5 * float(fit.row_staggered[0])
+    v0 = fit.row_positions[0] + 0.5 * float(fit.column_staggered[0])
+    return np.stack([(u - u0).ravel(), (v - v0).ravel()], axis=-1) * fit.pitch
+
+
+def axis_ratios(regions: list[dict[str, Any]], camera: Camera, fit: GridFit) -> list[float]:
+    """Return minor over major axis of the drawn ellipses, rectified."""
+    H, ratios = rectifying_map(camera, fit), []
+    for region in regions:
+        if "ellipse" not in region:
+            continue
+        x, y, rx, ry, theta = region["ellipse"]
+        s = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+        turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+        outline = np.column_stack([rx * np.cos(s), ry * np.sin(s)]) @ turn.T + [x, y]
+        (_, axes, _) = cv2.fitEllipse(cv2.perspectiveTransform(outline[:, None], H).astype(np.float32))
+        ratios.append(min(axes) / max(axes))
+    return ratios

@@ -1,0 +1,108 @@
+"""Random panels and viewpoints of four levels of difficulty, for benchmarks and calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.types import Array
+from elevator_rectify.render.panel import PITCH_M, Button, Look, Panel, framed
+from elevator_rectify.render.scene import DetectorModel, Scene, Viewpoint, make_scene, paper_camera
+
+SIZES = ((5, 2), (7, 2), (6, 3), (5, 3), (8, 4), (10, 5), (3, 3), (2, 4))
+_MIN_TRUE = 6
+_MIN_DISTANCE_PX = 10.0
+
+
+@dataclass(frozen=True)
+class Level:
+    """Upper ends of what a trial draws uniformly (tilt, shares), and probabilities of irregular panels."""
+
+    tilt_deg: float
+    roll_deg: float
+    sigma_px: float
+    missed: float = 0.0
+    false: float = 0.0
+    duplicates: float = 0.0
+    half_row: float = 0.0
+    absent: float = 0.0
+    gap: float = 0.0
+
+
+LEVELS = {
+    "easy": Level(30, 5, 1.0),
+    "medium": Level(45, 10, 1.5, 0.2, 0.1, 0.0, 0.3, 0.3),
+    "hard": Level(60, 20, 2.0, 0.35, 0.2, 0.05, 0.4, 0.4),
+    "extreme": Level(60, 20, 3.0, 0.4, 0.3, 0.1, 0.4, 0.4),
+    "gaps": Level(45, 10, 1.5, 0.2, 0.1, 0.0, 0.0, 0.3, gap=1.0),
+}
+
+
+def long_camera() -> Camera:
+    """Return the camera of long focal length: 1280 x 960, f = 1000 px."""
+    return Camera.from_matrix([[1000.0, 0, 640], [0, 1000.0, 480], [0, 0, 1.0]], 1280, 960)
+
+
+def random_panel(level: Level, rng: np.random.Generator) -> Panel:
+    """Draw a panel: size, pitch ratio, absent cells, half-pitch last row, a block beyond a gap of no whole pitch."""
+    rows, columns = SIZES[rng.integers(len(SIZES))]
+    row_pitch = PITCH_M * float(np.exp(rng.normal(0.0, 0.2)))
+    half, absent = rng.random() < level.half_row, rng.random() < level.absent
+    gap = float(rng.uniform(0.25, 0.75)) if rng.random() < level.gap else 0.0
+    gap_row = int(rng.integers(max(1, rows - 3), rows)) if gap else rows
+    buttons: list[Button] = []
+    for r in range(rows):
+        last = half and r == rows - 1
+        for c in range(columns - 1 if last else columns):
+            x, y = c + (0.5 if last else 0.0), r + (gap if r >= gap_row else 0.0)
+            buttons.append(
+                Button(x * PITCH_M, y * row_pitch, r, c, int(last) + 2 * int(r >= gap_row), str(len(buttons) + 1))
+            )
+    if absent:
+        gone = rng.choice(len(buttons), int(rng.integers(0, max(1, len(buttons) // 8) + 1)), replace=False)
+        buttons = [b for k, b in enumerate(buttons) if k not in gone]
+    return framed(tuple(buttons), (PITCH_M, row_pitch), Look())
+
+
+def random_view(level: Level, rng: np.random.Generator) -> Viewpoint:
+    """Draw a viewpoint."""
+    return Viewpoint(
+        tilt_rad=float(np.deg2rad(rng.uniform(0, level.tilt_deg))),
+        tilt_axis_rad=float(rng.uniform(0, 2 * np.pi)),
+        roll_rad=float(np.deg2rad(rng.uniform(-level.roll_deg, level.roll_deg))),
+        fill=float(rng.uniform(0.4, 0.9)),
+        offset=(float(rng.uniform(-0.12, 0.12)), float(rng.uniform(-0.12, 0.12))),
+    )
+
+
+def random_scene(level: Level, seed: int, trial: int, camera: Camera | None = None) -> Scene:
+    """Draw trial `trial`; the same arguments give the same scene.
+
+    Panels with fewer than six true detections, or with neighbours closer than 10 px, are drawn again.
+    """
+    rng = np.random.default_rng([seed, trial])
+    camera = camera or paper_camera()
+    scale = camera.width / 640.0
+    while True:
+        panel, view = random_panel(level, rng), random_view(level, rng)
+        missed, false = rng.uniform(0, level.missed), rng.uniform(0, level.false)
+        detector = DetectorModel(level.sigma_px * scale, missed, false, level.duplicates)
+        scene = make_scene(panel, camera, view, detector, rng)
+        if (scene.button >= 0).sum() >= _MIN_TRUE and closest(scene.pixels) >= _MIN_DISTANCE_PX * scale:
+            return scene
+
+
+def closest(points: Array) -> float:
+    """Return the smallest distance between two points; 0 where one is not finite."""
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    return float(np.nan_to_num(distance, nan=0.0).min())
+
+
+def without_false(scene: Scene) -> Scene:
+    """Return the scene with its true detections only."""
+    true = scene.button >= 0
+    kept = tuple(d for d, keep in zip(scene.detections, true, strict=True) if keep)
+    return replace(scene, detections=kept, button=scene.button[true])
