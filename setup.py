@@ -28,6 +28,9 @@ setup(
             "replay = elevator_rectify.replay:main",
             "render = elevator_rectify.render.bag:main",
             "make_bag = elevator_rectify.make_bag:main",
+            "play = elevator_rectify.play:main",
+            "benchmark = elevator_rectify.benchmark.program:main",
+            "calibrate = elevator_rectify.calibrate:main",
         ]
     },
 )

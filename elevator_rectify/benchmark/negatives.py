@@ -7,8 +7,11 @@ import numpy as np
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.evaluate import rotation_angle_rad
 from elevator_rectify.render.scene import paper_camera
 
+# Both lattices face the camera; noise turns the pose by less than this.
+_WRONG_RAD = float(np.deg2rad(12.0))
 _SIZE = np.array([640.0, 480.0])
 
 
@@ -58,6 +61,23 @@ def boxes(rng: np.random.Generator) -> Array:
 
 
 KINDS = {"uniform": uniform, "clustered": clustered, "collinear": collinear, "curves": curves, "crowd": boxes}
+
+
+def overlapping(rng: np.random.Generator) -> Array:
+    """Return two frontal lattices of different pitch and place, one over the other."""
+    grids = []
+    for pitch in (rng.uniform(35, 45), rng.uniform(50, 70)):
+        rows, columns = rng.integers(3, 6, 2)
+        at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+        grids.append(at * pitch + rng.uniform(80, 200, 2))
+    points = np.vstack(grids)
+    return np.asarray(points + rng.normal(0, 1.0, points.shape))
+
+
+def run_overlapping(seed: int, number: int) -> bool:
+    """Tell whether a fit to two overlapping lattices was accepted with a pose that neither of them has."""
+    fit = fit_panel(overlapping(np.random.default_rng([seed, number])), paper_camera(), Config())
+    return fit.ok and rotation_angle_rad(fit.R_camera_panel) > _WRONG_RAD
 
 
 def run_negative(kind: str, seed: int, number: int) -> GridFit:

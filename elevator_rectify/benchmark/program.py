@@ -8,8 +8,9 @@ from pathlib import Path
 
 import cv2
 
-from elevator_rectify.benchmark.negatives import KINDS, run_negative
+from elevator_rectify.benchmark.negatives import KINDS, run_negative, run_overlapping
 from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.benchmark.plot import write_curves
 from elevator_rectify.benchmark.real import mixed, photographs
 from elevator_rectify.benchmark.synthetic import HEADER, Trial, oracle_row, run_trial, table_row, yardstick_ms
 from elevator_rectify.core.config import METHODS
@@ -25,17 +26,26 @@ def _negative(task: tuple[str, int, int]) -> bool:
     return run_negative(*task).ok
 
 
-def synthetic_table(levels: list[str], methods: list[str], trials: int, seed: int) -> str:
-    """Return the table of generated panels."""
+def _overlapping(task: tuple[int, int]) -> bool:
+    return run_overlapping(*task)
+
+
+def synthetic_table(levels: list[str], methods: list[str], trials: int, seed: int, plot: Path | None) -> str:
+    """Return the table of generated panels; write the error curves where asked."""
     cv2.setNumThreads(1)
     yardstick = yardstick_ms()
     lines = [HEADER]
     for level in levels:
+        errors: dict[str, list[float]] = {}
         for method in methods:
             tasks = [(method, level, seed, n) for n in range(trials)]
             results = parallel(_trial, tasks, f"{level} {method}")
             lines.append(table_row(level, method, results, yardstick))
+            errors[method] = [t.error_deg for t in results]
         lines.append(oracle_row(level, results))
+        errors["oracle"] = [t.oracle_deg for t in results]
+        if plot is not None:
+            print(f"curves: {write_curves(plot, level, errors)}")
     lines.append(f"yardstick: one cv2.warpPerspective of a 640 x 480 colour image, {yardstick:.2f} ms on one thread")
     return "\n".join(lines)
 
@@ -46,6 +56,10 @@ def negative_table(draws: int, seed: int) -> str:
     for kind in KINDS:
         results = Counter(parallel(_negative, [(kind, seed, n) for n in range(draws)], kind))
         lines.append(f"{kind:<17}{draws:>7}{results[True]:>10}{100.0 * results[True] / draws:>8.3f}")
+    results = Counter(parallel(_overlapping, [(seed, n) for n in range(draws)], "overlapping"))
+    lines.append(
+        f"{'two lattices':<17}{draws:>7}{results[True]:>10}{100.0 * results[True] / draws:>8.3f}  (with neither's pose)"
+    )
     return "\n".join(lines)
 
 
@@ -58,9 +72,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1001)
     parser.add_argument("--draws", type=int, default=1000, help="draws a kind of detections without a panel; 0: none")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
+    parser.add_argument("--plot", type=Path, help="folder for the error curves as pictures")
     options = parser.parse_args(arguments)
     if options.trials:
-        print(synthetic_table(options.levels.split(","), options.methods.split(","), options.trials, options.seed))
+        print(
+            synthetic_table(
+                options.levels.split(","), options.methods.split(","), options.trials, options.seed, options.plot
+            )
+        )
     if options.draws:
         print("\n" + negative_table(options.draws, options.seed))
     if (options.data / "photos" / "photos.json").exists():

@@ -85,6 +85,7 @@ def mixed(folder: Path) -> str:
     entries = json.loads((folder / "panels_mixed.json").read_text())
     judged = accepted = on = total = tried = predicted = 0
     ratios: list[float] = []
+    spreads: list[float] = []
     for entry in entries.values():
         regions = _buttons(entry)
         boxes = np.array([region["box"] for region in regions]).reshape(-1, 4)
@@ -102,12 +103,17 @@ def mixed(folder: Path) -> str:
         on, total = on + fit.inliers, total + len(boxes)
         hits = [_predicts(detections, k, camera) for k in range(len(boxes))]
         tried, predicted = tried + len(hits), predicted + sum(hits)
-        ratios += axis_ratios(regions, camera, fit)
+        axes = rectified_axes(regions, camera, fit)
+        ratios += (axes[:, 0] / axes[:, 1]).tolist()
+        if len(axes) > 3:
+            radii = np.sqrt(axes.prod(axis=1))
+            spreads.append(float(np.median(np.abs(radii / np.median(radii) - 1.0))))
     return (
         f"panels with six buttons in two rows and two columns: {judged}, accepted {accepted / judged:.3f}\n"
         f"of their buttons on the lattice {on / total:.3f}; left out in turn and predicted within 0.35 of its size "
         f"{predicted / tried:.3f}\n"
-        f"ellipses after rectification: median axis ratio {np.median(ratios):.3f} of {len(ratios)}"
+        f"ellipses after rectification: mean axis ratio {np.mean(ratios):.3f} of {len(ratios)}, "
+        f"spread of a panel's radii {np.mean(spreads):.3f}"
     )
 
 
@@ -150,9 +156,9 @@ def _extended(fit: GridFit) -> Array:
     return np.stack([(u - u0).ravel(), (v - v0).ravel()], axis=-1) * fit.pitch
 
 
-def axis_ratios(regions: list[dict[str, Any]], camera: Camera, fit: GridFit) -> list[float]:
-    """Return minor over major axis of the drawn ellipses, rectified."""
-    H, ratios = rectifying_map(camera, fit), []
+def rectified_axes(regions: list[dict[str, Any]], camera: Camera, fit: GridFit) -> Array:
+    """Return the semi-axes (M, 2), minor and major, of the drawn ellipses, rectified."""
+    H, axes = rectifying_map(camera, fit), []
     for region in regions:
         if "ellipse" not in region:
             continue
@@ -160,6 +166,6 @@ def axis_ratios(regions: list[dict[str, Any]], camera: Camera, fit: GridFit) -> 
         s = np.linspace(0, 2 * np.pi, 40, endpoint=False)
         turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
         outline = np.column_stack([rx * np.cos(s), ry * np.sin(s)]) @ turn.T + [x, y]
-        (_, axes, _) = cv2.fitEllipse(cv2.perspectiveTransform(outline[:, None], H).astype(np.float32))
-        ratios.append(min(axes) / max(axes))
-    return ratios
+        (_, diameters, _) = cv2.fitEllipse(cv2.perspectiveTransform(outline[:, None], H).astype(np.float32))
+        axes.append(sorted(d / 2.0 for d in diameters))
+    return np.array(axes).reshape(-1, 2)

@@ -80,6 +80,9 @@ class JointConfig(Checked):
         1.0, "tilt up to which all are equally likely; beyond, the prior falls", low=0.1, high=1.5
     )
     max_roll_rad: float = value(0.785, "largest roll: the camera is upright within this", low=0.01, high=1.5)
+    empty_nats: float = value(
+        0.5, "log likelihood that an empty cell costs: panels are mostly full", low=0.0, high=10.0
+    )
     gap_nats: float = value(4.5, "log likelihood that a gap of no whole pitch must gain", low=0.0, high=100.0)
     stagger_nats: float = value(3.0, "log likelihood that a half-pitch row or column must gain", low=0.0, high=100.0)
     camera_roll_rad: float = value(

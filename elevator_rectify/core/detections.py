@@ -11,6 +11,9 @@ from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import InputConfig
 from elevator_rectify.core.types import Array, Detection, IntArray
 
+# A button at the border may be detected this far beyond it, in image sizes.
+_OUTSIDE = 0.01
+
 
 @dataclass(frozen=True)
 class Usable:
@@ -50,12 +53,11 @@ def usable_detections(detections: Array | Sequence[Detection], camera: Camera, c
     the order of the input does not matter.
     """
     centres, sizes, scores = as_arrays(detections)
+    size = np.array([camera.width, camera.height], dtype=float)
+    margin = _OUTSIDE * float(size.max())
     reasons = [
         ("not finite", np.isfinite(centres).all(axis=1)),
-        (
-            "outside the image",
-            ((centres >= -0.5) & (centres <= np.array([camera.width, camera.height]) - 0.5)).all(axis=1),
-        ),
+        ("outside the image", ((centres >= -0.5 - margin) & (centres <= size - 0.5 + margin)).all(axis=1)),
         ("low score", np.nan_to_num(scores, nan=-np.inf) >= config.min_score),
     ]
     keep, dropped = np.ones(len(centres), dtype=bool), {}

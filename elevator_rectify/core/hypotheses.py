@@ -29,6 +29,7 @@ _VARIANTS: tuple[_Variant, ...] = (
 )
 # With few points, few triples are complete: more of them are worth a try.
 _FEW_POINTS = 16
+_MANY_POINTS = 24
 _SEED_POINTS = 1500
 _FEW_VARIANTS: tuple[_Variant, ...] = (
     ((1.0, 1.0), 1.0, 0.0, 0.5),
@@ -76,7 +77,9 @@ def affine_seeds(rays: Array, config: HypothesesConfig) -> tuple[Array, Array]:
     limit = np.tan(config.max_axis_angle_rad)
     right = (offset[..., 0] > 0) & (np.abs(offset[..., 1]) < limit * offset[..., 0])
     down = (offset[..., 1] > 0) & (np.abs(offset[..., 0]) < limit * offset[..., 1])
-    q, r = (_nearest(np.where(side, lengths, np.inf), config.neighbours) for side in (right, down))
+    # Among many points each has many true neighbours.
+    number = config.neighbours if len(rays) <= _MANY_POINTS else min(config.neighbours, 3)
+    q, r = (_nearest(np.where(side, lengths, np.inf), number) for side in (right, down))
     p, q, r = (
         index.ravel()
         for index in np.broadcast_arrays(np.arange(len(rays))[:, None, None], q[:, :, None], r[:, None, :])
@@ -99,15 +102,23 @@ def _nearest(distance: Array, number: int) -> IntArray:
 
 def seed_support(rays: Array, origins: Array, bases: Array, brick: Array) -> Array:
     """Return (S,) how many points near each seed lie on its lattice, less half of those that do not."""
-    q = np.einsum("sij,snj->sni", np.linalg.inv(bases), rays[None] - origins[:, None])
-    error = np.linalg.norm(q - nearest_nodes(q, brick), axis=2)
-    distance = np.abs(q).max(axis=2)
+    # The longest loop of all: single precision, and no temporary arrays of vectors.
+    inverse = np.linalg.inv(bases).astype(np.float32)
+    dx = rays[:, 0].astype(np.float32) - origins[:, :1].astype(np.float32)
+    dy = rays[:, 1].astype(np.float32) - origins[:, 1:].astype(np.float32)
+    u = inverse[:, 0, :1] * dx + inverse[:, 0, 1:] * dy
+    v = inverse[:, 1, :1] * dx + inverse[:, 1, 1:] * dy
+    row = np.round(v)
+    across = u - np.float32(0.5) * brick[:, None].astype(np.float32) * (row % 2)
+    error2 = (across - np.round(across)) ** 2 + (v - row) ** 2
+    distance = np.maximum(np.abs(u), np.abs(v))
     # Perspective bends the affine lattice by its change per cell times the square of the distance.
-    length = np.sqrt(np.abs(np.linalg.det(bases)))[:, None]
-    tolerance = np.minimum(0.07 + 0.35 * length * distance**2, 0.3)
+    length = np.sqrt(np.abs(np.linalg.det(bases)))[:, None].astype(np.float32)
+    tolerance = np.minimum(np.float32(0.07) + np.float32(0.35) * length * distance * distance, np.float32(0.3))
     near = distance < 3.4
-    hit = np.exp(-0.5 * (error / tolerance) ** 2)
-    return np.asarray(((1.4 * hit - 0.4) * near / (1.0 + 0.3 * distance)).sum(axis=1))
+    hit = np.exp(np.float32(-0.5) * error2 / (tolerance * tolerance))
+    support = (np.float32(1.4) * hit - np.float32(0.4)) * near / (np.float32(1.0) + np.float32(0.3) * distance)
+    return np.asarray(support.sum(axis=1), dtype=np.float64)
 
 
 def _diverse(support: Array, origins: Array, number: int) -> IntArray:

@@ -19,25 +19,17 @@ from elevator_rectify.core.lattice_fit import (
     scored,
     supporting_cells,
 )
-from elevator_rectify.core.layout import (
-    LayoutFit,
-    evaluate,
-    refine_layout,
-    regular_layout,
-    trimmed,
-    with_extra_columns,
-    with_extra_rows,
-    with_gaps,
-)
+from elevator_rectify.core.layout import LayoutFit, evaluate, refine_layout, regular_layout
+from elevator_rectify.core.layout_search import trimmed, with_extra_columns, with_extra_rows, with_gaps
 from elevator_rectify.core.types import Array, IntArray
 
 # Poses less apart than this are one (the margin to the best other one says how ambiguous the fit is).
 OTHER_POSE_RAD = np.deg2rad(4.0)
 _FIXED_STEPS = 4
 # Fits that are completed to layouts: so many, and none further behind than extra rows and gaps usually gain.
-_LEADERS = 4
+_LEADERS = 3
 _FEWEST = 5
-_HOPELESS_NATS = 40.0
+_HOPELESS_NATS = 25.0
 # A tracked fit must still explain this share of the detections that the last one explained.
 _TRACKED_SHARE = 0.9
 

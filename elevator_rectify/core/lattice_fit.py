@@ -207,7 +207,8 @@ def scored(poses: Poses, rays: Array, sigma: float, area: float, config: JointCo
     inlier = mixture_likelihood(error2, box_cells(cells, near), sigma, area, config)[1]
     own = estimated_sigma(error2, inlier, sigma)
     likelihood, inlier = mixture_likelihood(error2, box_cells(cells, inlier), own, area, config)
-    prior = log_prior(poses, config)
+    empty = np.maximum(box_cells(cells, inlier) - inlier.sum(axis=1), 0.0)
+    prior = log_prior(poses, config) - config.empty_nats * empty
     return Scored(poses, cells, inlier, likelihood + prior - _BRICK_NATS * poses.brick, own)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -99,10 +99,3 @@ def closest(points: Array) -> float:
     distance = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     return float(np.nan_to_num(distance, nan=0.0).min())
-
-
-def without_false(scene: Scene) -> Scene:
-    """Return the scene with its true detections only."""
-    true = scene.button >= 0
-    kept = tuple(d for d, keep in zip(scene.detections, true, strict=True) if keep)
-    return replace(scene, detections=kept, button=scene.button[true])
