@@ -56,8 +56,13 @@ def run_executable(executable: Path, environment: dict[str, str]) -> None:
     process = subprocess.Popen(
         [executable], env={**os.environ, **environment}, cwd="/", stderr=subprocess.PIPE, text=True
     )
-    time.sleep(4.0)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=10.0) == 0
-    assert process.stderr is not None and "Traceback" not in process.stderr.read()
+    try:
+        time.sleep(4.0)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10.0) == 0
+        assert process.stderr is not None and "Traceback" not in process.stderr.read()
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
