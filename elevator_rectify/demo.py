@@ -27,6 +27,7 @@ from elevator_rectify.ros.output import TOPICS
 # Outputs come in bursts of a picture each; the recorder must not lose any.
 _RECORD_DEPTH = 100
 _QUIET_SECONDS = 20.0
+_START_SECONDS, _SETTLE_SECONDS = 60.0, 2.0
 
 
 def dds_environment(domain: int) -> dict[str, str]:
@@ -61,46 +62,53 @@ def remaps(topics: InputTopics) -> list[str]:
     return ["--ros-args", *(part for name, topic in pairs.items() for part in ("-r", f"{name}:={topic}"))]
 
 
-def record(bag: BagWriter, expected: int, finished: Callable[[], bool]) -> int:
-    """Record the node's outputs until `expected` statuses came, or it fell silent; return how many came."""
-    node, answered = rclpy.create_node("elevator_rectify_recorder"), 0
-    last = time.monotonic()
+class Recorder:
+    """Records all outputs of the node into a bag and counts the statuses."""
 
-    def write(topic: str, kind: str, data: bytes) -> None:
-        nonlocal answered, last
-        bag.write_raw(OUTPUT_PREFIX + topic, kind, data, time.time_ns())
-        last = time.monotonic()
-        if topic == "status":
-            answered += 1
-            print(
-                f"\r{answered}/{expected} frames answered",
-                end="" if answered < expected else "\n",
-                file=sys.stderr,
-                flush=True,
-            )
+    def __init__(self, bag: BagWriter, expected: int) -> None:
+        self.answered, self.expected = 0, expected
+        self._bag, self._last = bag, time.monotonic()
+        self._node = rclpy.create_node("elevator_rectify_recorder")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        for topic, kind in TOPICS.items():
+            self._subscribe(topic, kind)
 
-    def subscribe(topic: str, kind: str) -> None:
+    def _subscribe(self, topic: str, kind: str) -> None:
         qos = QoSProfile(depth=_RECORD_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-        node.create_subscription(
-            ros_type(kind), OUTPUT_PREFIX + topic, lambda data: write(topic, kind, data), qos, raw=True
-        )
+        name, message_type = OUTPUT_PREFIX + topic, ros_type(kind)
+        self._node.create_subscription(message_type, name, lambda data: self._write(topic, kind, data), qos, raw=True)
 
-    for topic, kind in TOPICS.items():
-        subscribe(topic, kind)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    while not (finished() and (answered >= expected or time.monotonic() - last > _QUIET_SECONDS)):
-        executor.spin_once(timeout_sec=0.2)
-    _drain(executor)
-    node.destroy_node()
-    return answered
+    def _write(self, topic: str, kind: str, data: bytes) -> None:
+        self._bag.write_raw(OUTPUT_PREFIX + topic, kind, data, time.time_ns())
+        self._last = time.monotonic()
+        if topic == "status":
+            self.answered += 1
+            end = "" if self.answered < self.expected else "\n"
+            print(f"\r{self.answered}/{self.expected} frames answered", end=end, file=sys.stderr, flush=True)
 
+    def connect(self) -> None:
+        """Wait for the node; what it publishes before both sides know of each other is lost."""
+        deadline = time.monotonic() + _START_SECONDS
+        while any(not self._node.count_publishers(OUTPUT_PREFIX + topic) for topic in TOPICS):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the node did not start within {_START_SECONDS:g} s")
+            self._spin(0.1)
+        # The node may learn of its listener a little later than the listener of the node.
+        self._spin(_SETTLE_SECONDS)
 
-def _drain(executor: SingleThreadedExecutor) -> None:
-    """Take in what arrived together with the last status."""
-    end = time.monotonic() + 0.5
-    while time.monotonic() < end:
-        executor.spin_once(timeout_sec=0.05)
+    def record(self, finished: Callable[[], bool]) -> None:
+        """Record until all statuses came, or the player has finished and the node fallen silent."""
+        while not (finished() and (self.answered >= self.expected or time.monotonic() - self._last > _QUIET_SECONDS)):
+            self._spin(0.2)
+        # What arrived together with the last status.
+        self._spin(0.5)
+        self._node.destroy_node()
+
+    def _spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.05)
 
 
 def run(source: Path, folder: Path, domain: int, node_arguments: list[str]) -> int:
@@ -114,12 +122,14 @@ def run(source: Path, folder: Path, domain: int, node_arguments: list[str]) -> i
     wait = ["--wait-for", topics.image, topics.camera_info, topics.detections]
     rclpy.init()
     print(f"node and player on ROS_DOMAIN_ID={domain}; {expected} images from {source}")
-    with running([*python, "node", *remaps(topics), *node_arguments], environment):
-        with running([*python, "play", str(source), *wait], environment) as player, bag_writer(output) as bag:
-            answered = record(bag, expected, lambda: player.poll() is not None)
+    with running([*python, "node", *remaps(topics), *node_arguments], environment), bag_writer(output) as bag:
+        recorder = Recorder(bag, expected)
+        recorder.connect()
+        with running([*python, "play", str(source), *wait], environment) as player:
+            recorder.record(lambda: player.poll() is not None)
     rclpy.try_shutdown()
     outcomes = write_report(source, {"live": output}, folder)["live"]
-    return verdict(outcomes, expected, answered)
+    return verdict(outcomes, expected, recorder.answered)
 
 
 def verdict(outcomes: list[Outcome], expected: int, answered: int) -> int:
@@ -155,6 +165,6 @@ def main(arguments: list[str] | None = None) -> int:
     node_arguments: list[Any] = [part for assignment in options.param for part in ("-p", assignment)]
     try:
         return run(options.bag, options.output, options.domain, node_arguments)
-    except ValueError as error:
+    except (ValueError, TimeoutError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2

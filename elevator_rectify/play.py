@@ -21,6 +21,7 @@ from elevator_rectify.ros.output import image_message, ros_header
 
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _DEPTH = 10
+_SETTLE_SECONDS = 1.0
 
 
 def live_topic(topic: str, kind: str) -> tuple[str, str]:
@@ -67,6 +68,8 @@ def play(path: Path, rate: float, wait_for: set[str], seconds: float) -> None:
     player = Player(node, bag_topics(path))
     if not player.wait_for_listeners(wait_for, seconds):
         raise TimeoutError(f"nobody subscribed to all of {', '.join(sorted(wait_for))} within {seconds:g} s")
+    # The listeners may learn of the player a little later than it of them.
+    time.sleep(_SETTLE_SECONDS if wait_for else 0.0)
     first, begin = None, time.monotonic()
     for record in read_bag(path):
         first = record.time_ns if first is None else first

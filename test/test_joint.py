@@ -104,7 +104,7 @@ def test_singular_maps_and_points_beyond_the_horizon_are_far_away() -> None:
 
 def test_brick_nodes_shift_odd_rows() -> None:
     q = np.array([[[0.4, 0.1], [0.4, 1.1], [-0.6, -1.0]]])
-    np.testing.assert_array_equal(nearest_nodes(q, np.ones(1))[0], [[0, 0], [0.5, 1], [-0.5, -1]])
+    np.testing.assert_array_equal(nearest_nodes(q, np.ones(1))[0], np.array([[0, 0], [0.5, 1], [-0.5, -1]]))
     np.testing.assert_array_equal(nearest_nodes(q, np.zeros(1))[0], [[0, 0], [0, 1], [-1, -1]])
 
 

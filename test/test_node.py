@@ -50,15 +50,19 @@ class Harness:
             add = self.received[topic].append
             self.node.create_subscription(ros_type(kind), f"/elevator_rectify/{topic}", add, QoSProfile(depth=50))
 
-    def until(self, condition: Callable[[], bool], seconds: float = 30.0) -> bool:
+    def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> bool:
         end = time.monotonic() + seconds
-        while not condition() and time.monotonic() < end:
+        while not (met := condition()) and time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.05)
-        return condition()
+        return met
 
     def connected(self) -> bool:
-        outputs = self.node.get_publishers_info_by_topic("/elevator_rectify/status")
-        return all(p.get_subscription_count() for p in self.inputs.values()) and bool(outputs)
+        heard = all(self.node.count_publishers(f"/elevator_rectify/{topic}") for topic in TOPICS)
+        if not (heard and all(p.get_subscription_count() for p in self.inputs.values())):
+            return False
+        # The node may learn of the harness a little later than the harness of the node.
+        time.sleep(1.0)
+        return True
 
     def send(self, *, image: Any, camera_info: Any, detections: Any) -> None:
         for name, message in (("camera_info", camera_info), ("image", image), ("detections", detections)):

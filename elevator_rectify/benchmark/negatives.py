@@ -49,7 +49,7 @@ def curves(rng: np.random.Generator) -> Array:
     arc = centre + radius * np.column_stack([np.cos(start + span * s), np.sin(start + span * s)])
     parabola = np.column_stack([600 * s + 20, 100 + rng.uniform(300, 1200) * (s - rng.uniform(0.3, 0.7)) ** 2])
     points = (arc if rng.random() < 0.5 else parabola) + rng.normal(0, 1.5, (len(s), 2))
-    return np.clip(points, 0, _SIZE - 1)
+    return np.asarray(np.clip(points, 0, _SIZE - 1))
 
 
 def boxes(rng: np.random.Generator) -> Array:

@@ -153,7 +153,7 @@ def _extended(fit: GridFit) -> Array:
     v = rows[:, None] + column_shift[None, :]
     u0 = fit.column_positions[0] + 0.5 * float(fit.row_staggered[0])
     v0 = fit.row_positions[0] + 0.5 * float(fit.column_staggered[0])
-    return np.stack([(u - u0).ravel(), (v - v0).ravel()], axis=-1) * fit.pitch
+    return np.asarray(np.stack([(u - u0).ravel(), (v - v0).ravel()], axis=-1) * fit.pitch)
 
 
 def rectified_axes(regions: list[dict[str, Any]], camera: Camera, fit: GridFit) -> Array:

@@ -6,6 +6,7 @@ All hypotheses are rows of one array; G (S, 3, 3) maps (column, row, 1) to the n
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from elevator_rectify.core.config import HypothesesConfig
 from elevator_rectify.core.types import Array, IntArray
@@ -109,7 +110,7 @@ def seed_support(rays: Array, origins: Array, bases: Array, brick: Array) -> Arr
     u = inverse[:, 0, :1] * dx + inverse[:, 0, 1:] * dy
     v = inverse[:, 1, :1] * dx + inverse[:, 1, 1:] * dy
     row = np.round(v)
-    across = u - np.float32(0.5) * brick[:, None].astype(np.float32) * (row % 2)
+    across: NDArray[np.float32] = u - np.float32(0.5) * brick[:, None].astype(np.float32) * (row % 2)
     error2 = (across - np.round(across)) ** 2 + (v - row) ** 2
     distance = np.maximum(np.abs(u), np.abs(v))
     # Perspective bends the affine lattice by its change per cell times the square of the distance.

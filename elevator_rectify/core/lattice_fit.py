@@ -104,8 +104,8 @@ def projected(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:
     plane = np.stack([plane[..., 0], plane[..., 1] * np.exp(poses.log_aspect)[:, None]], axis=-1)
     arm = plane @ np.swapaxes(poses.R[:, :, :2], 1, 2)
     points = arm + poses.t[:, None]
-    depth = np.maximum(points[..., 2], 1e-3)
-    return points[..., :2] / depth[..., None], arm, depth
+    depth = np.asarray(np.maximum(points[..., 2], 1e-3), dtype=np.float64)
+    return np.asarray(points[..., :2] / depth[..., None]), np.asarray(arm), depth
 
 
 def jacobians(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:
