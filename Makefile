@@ -32,7 +32,7 @@ setup: $(VENV)/ready-$(VERSIONS)
 $(VENV)/ready-$(VERSIONS): $(wildcard config/requirements-*.txt)
 	@echo "setting up $(VENV) (about a minute, once) ..."
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
-	$(BIN)/pip install --disable-pip-version-check --progress-bar on -q $(REQUIREMENTS)
+	$(BIN)/pip install --disable-pip-version-check --progress-bar on $(REQUIREMENTS)
 	touch $@
 
 clean:
