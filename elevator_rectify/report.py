@@ -17,7 +17,6 @@ from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.evaluate import right_cells, rotation_angle_rad
 from elevator_rectify.ros.convert import camera_from_message, image_from_message, stamp_ns
 
-_NOT_A_PANEL = ("bad_input",)
 _TILE = (320, 240)
 
 

@@ -13,8 +13,8 @@ from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, Detection, GridFit
+from elevator_rectify.make_bag import ASSUMED_FOCAL
 
-ASSUMED_FOCAL = 0.9
 _CONFIG = Config()
 
 

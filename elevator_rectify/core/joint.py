@@ -136,8 +136,8 @@ def _leaders(fits: Scored) -> IntArray:
         if fits.log_likelihood[k] < best - _HOPELESS_NATS or len(chosen) == _LEADERS:
             break
         same = (abs(fits.log_likelihood[k] - fits.log_likelihood[c]) < 1e-2 for c in chosen)
-        turned = (np.trace(fits.poses.R[k].T @ fits.poses.R[c]) > 1.0 + 2.0 * np.cos(0.01) for c in chosen)
-        if not any(s and t for s, t in zip(same, turned, strict=True)):
+        aligned = (np.trace(fits.poses.R[k].T @ fits.poses.R[c]) > 1.0 + 2.0 * np.cos(0.01) for c in chosen)
+        if not any(s and a for s, a in zip(same, aligned, strict=True)):
             chosen.append(int(k))
     return np.array(chosen, dtype=np.int64)
 

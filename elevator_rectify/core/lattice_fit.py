@@ -20,7 +20,7 @@ _HUBER = 4.0
 # How softly the priors of tilt and roll end.
 _STEEP_RAD, _TURNED_RAD = 0.2, 0.02
 _FIELDS = ("R", "t", "log_aspect", "centre", "brick")
-_BRICK_NATS = 3.0
+_FARTHEST_CELL = 300
 ANNEALING = (2.0, 1.4, 1.0, 1.0)
 
 
@@ -145,10 +145,15 @@ def connected(cells: Array, inlier: Array) -> Array:
     return np.asarray(inlier * near.any(axis=-1))
 
 
+def nearest_cells(G: Array, brick: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the nearest cells (B, N, 2) of homographies (B, 3, 3), bounded, and the lattice coordinates (B, N, 2)."""
+    q = lattice_coordinates(G, np.broadcast_to(rays, (len(G), *rays.shape)))
+    return np.clip(nearest_nodes(q, brick), -_FARTHEST_CELL, _FARTHEST_CELL), q
+
+
 def supporting_cells(G: Array, brick: Array, rays: Array, tolerance: float = 0.28) -> tuple[Array, Array]:
     """Return cells (B, N, 2) and inliers (B, N) of homographies (B, 3, 3): detections near a node, in cells."""
-    q = lattice_coordinates(G, np.broadcast_to(rays, (len(G), *rays.shape)))
-    cells = np.clip(nearest_nodes(q, brick), -300, 300)
+    cells, q = nearest_cells(G, brick, rays)
     near = (np.linalg.norm(q - cells, axis=-1) < tolerance).astype(float)
     return cells, connected(cells, near)
 
@@ -183,11 +188,10 @@ def fitted(
 
 def refine(poses: Poses, rays: Array, sigma: float, area: float, config: JointConfig) -> Scored:
     """Run EM with annealed variance on all poses; cells are re-assigned in every step."""
-    points = np.broadcast_to(rays, (len(poses.R), *rays.shape))
     wide = np.full(len(poses.R), sigma)
     number = np.full(len(poses.R), float(len(rays)))
     for factor in ANNEALING:
-        cells = np.clip(nearest_nodes(lattice_coordinates(poses.maps, points), poses.brick), -300, 300)
+        cells = nearest_cells(poses.maps, poses.brick, rays)[0]
         predicted, J, _ = jacobians(poses, cells)
         error = rays - predicted
         _, inlier = mixture_likelihood((error**2).sum(axis=-1), number, wide * factor, area, config)
@@ -199,8 +203,7 @@ def refine(poses: Poses, rays: Array, sigma: float, area: float, config: JointCo
 
 def scored(poses: Poses, rays: Array, sigma: float, area: float, config: JointConfig) -> Scored:
     """Return the poses with cells, inliers and the likelihood at their own estimate of sigma."""
-    points = np.broadcast_to(rays, (len(poses.R), *rays.shape))
-    cells = np.clip(nearest_nodes(lattice_coordinates(poses.maps, points), poses.brick), -300, 300)
+    cells = nearest_cells(poses.maps, poses.brick, rays)[0]
     error2 = ((rays - projected(poses, cells)[0]) ** 2).sum(axis=-1)
     near = connected(cells, (error2 < (3.5 * sigma) ** 2).astype(float))
     error2 = np.where((error2 < (3.5 * sigma) ** 2) & (near < 0.5), 1e6, error2)
@@ -209,7 +212,7 @@ def scored(poses: Poses, rays: Array, sigma: float, area: float, config: JointCo
     likelihood, inlier = mixture_likelihood(error2, box_cells(cells, inlier), own, area, config)
     empty = np.maximum(box_cells(cells, inlier) - inlier.sum(axis=1), 0.0)
     prior = log_prior(poses, config) - config.empty_nats * empty
-    return Scored(poses, cells, inlier, likelihood + prior - _BRICK_NATS * poses.brick, own)
+    return Scored(poses, cells, inlier, likelihood + prior - config.stagger_nats * poses.brick, own)
 
 
 def log_prior(poses: Poses, config: JointConfig) -> Array:

@@ -40,11 +40,6 @@ LEVELS = {
 }
 
 
-def long_camera() -> Camera:
-    """Return the camera of long focal length: 1280 x 960, f = 1000 px."""
-    return Camera.from_matrix([[1000.0, 0, 640], [0, 1000.0, 480], [0, 0, 1.0]], 1280, 960)
-
-
 def random_panel(level: Level, rng: np.random.Generator) -> Panel:
     """Draw a panel: size, pitch ratio, absent cells, half-pitch last row, a block beyond a gap of no whole pitch."""
     rows, columns = SIZES[rng.integers(len(SIZES))]
