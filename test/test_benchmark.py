@@ -10,7 +10,7 @@ from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation, t
 from elevator_rectify.benchmark.real import photographs
 from elevator_rectify.benchmark.synthetic import calibration_error, run_trial
 from elevator_rectify.calibrate import logistic_regression
-from elevator_rectify.core.confidence import COEFFICIENTS, FEATURES
+from elevator_rectify.core.confidence import COEFFICIENTS, FEATURES, expanded
 from elevator_rectify.render.levels import LEVELS, random_scene
 from test.scenes import rotation_error_deg
 
@@ -18,7 +18,10 @@ DATA = Path(__file__).parent.parent.parent / "shared" / "data"
 
 
 def test_coefficients_belong_to_the_features() -> None:
-    assert list(json.loads(COEFFICIENTS.read_text())["coefficients"]) == list(FEATURES)
+    table = json.loads(COEFFICIENTS.read_text())
+    assert list(table["features"]) == list(FEATURES)
+    one = expanded(np.zeros(len(FEATURES)), np.zeros(len(FEATURES)), np.ones(len(FEATURES)))
+    assert len(table["coefficients"]) == len(one)
 
 
 def test_scenes_of_the_levels_are_reproducible_and_within_their_limits() -> None:
@@ -56,7 +59,7 @@ def test_logistic_regression_finds_a_known_model() -> None:
     X = np.column_stack([np.ones(20000), rng.normal(0, 1, 20000)])
     y = (rng.random(20000) < 1 / (1 + np.exp(-(0.5 - 1.5 * X[:, 1])))).astype(float)
     # 20,000 draws give a coefficient to 0.02; the ridge takes a little.
-    np.testing.assert_allclose(logistic_regression(X, y), [0.5, -1.5], atol=0.12)
+    np.testing.assert_allclose(logistic_regression(X, y, np.ones(len(y))), [0.5, -1.5], atol=0.12)
 
 
 def test_the_program_prints_its_tables(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

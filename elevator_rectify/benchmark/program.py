@@ -13,6 +13,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.plot import write_curves
 from elevator_rectify.benchmark.real import mixed, photographs
 from elevator_rectify.benchmark.synthetic import HEADER, Trial, oracle_row, run_trial, table_row, yardstick_ms
+from elevator_rectify.benchmark.timing import timing_table
 from elevator_rectify.core.config import METHODS
 from elevator_rectify.render.levels import LEVELS
 
@@ -79,6 +80,9 @@ def main(arguments: list[str] | None = None) -> int:
             synthetic_table(
                 options.levels.split(","), options.methods.split(","), options.trials, options.seed, options.plot
             )
+        )
+        print(
+            "\n" + timing_table(options.methods.split(",")[0], min(100, options.trials), options.seed, yardstick_ms())
         )
     if options.draws:
         print("\n" + negative_table(options.draws, options.seed))

@@ -16,7 +16,6 @@ from elevator_rectify.core.types import Array, GridFit
 # Written by `python3 -m elevator_rectify calibrate`.
 COEFFICIENTS = Path(__file__).with_name("confidence.json")
 FEATURES = (
-    "constant",
     "ln inliers",
     "inlier share",
     "occupancy",
@@ -26,8 +25,16 @@ FEATURES = (
     "ln rotation std",
     "free lines an inlier",
     "few inliers",
+    "tilt",
+    "ln aspect squared",
+    "two lines",
+    "ln cells",
+    "nats",
+    "ln detections",
 )
 _MARGIN_NATS = 15.0
+_NATS = 50.0
+_FARTHEST_STD = 6.0
 
 
 @dataclass(frozen=True)
@@ -100,9 +107,9 @@ def features(fit: LayoutFit, margin: float, sigma: float, found: GridFit) -> Arr
         + float(layout.row_stagger.sum() + layout.column_stagger.sum())
     )
     filled = len(np.unique(fit.node[fit.inlier > 0.5]))
+    lines = len(layout.rows), len(layout.columns)
     return np.array(
         [
-            1.0,
             np.log(max(inliers, 1.0)),
             inliers / len(fit.inlier),
             filled / layout.cells,
@@ -112,17 +119,33 @@ def features(fit: LayoutFit, margin: float, sigma: float, found: GridFit) -> Arr
             np.log(np.clip(rotation_std_rad(found.covariance), 1e-4, 3.0)),
             free / max(inliers, 1.0),
             1.0 / max(inliers - 3.0, 1.0),
+            np.arccos(min(1.0, abs(fit.pose.R[0, 2, 2]))),
+            fit.pose.log_aspect[0] ** 2,
+            float(min(lines) == 2),
+            np.log(lines[0] * lines[1]),
+            fit.log_likelihood / _NATS,
+            np.log(len(fit.inlier)),
         ]
     )
 
 
+def expanded(x: Array, mean: Array, std: Array) -> Array:
+    """Return (..., F) a constant, the standardised features (..., 15) and their products two by two, bounded."""
+    z = (x - mean) / std
+    one, other = np.triu_indices(len(FEATURES))
+    products = np.clip(z[..., one] * z[..., other], -_FARTHEST_STD, _FARTHEST_STD)
+    return np.concatenate([np.ones((*z.shape[:-1], 1)), z, products], axis=-1)
+
+
 @cache
-def coefficients() -> Array:
-    """Return the logistic model's coefficients."""
+def _model() -> tuple[Array, Array, Array]:
+    """Return the features' means and standard deviations, and the logistic model's coefficients."""
     table = json.loads(COEFFICIENTS.read_text())
-    return np.array([table["coefficients"][name] for name in FEATURES])
+    mean, std = np.array([table["features"][name] for name in FEATURES]).T
+    return mean, std, np.array(table["coefficients"])
 
 
 def logistic_confidence(x: Array) -> float:
     """Return the probability that a fit with these features is right."""
-    return float(1.0 / (1.0 + np.exp(-np.clip(x @ coefficients(), -30.0, 30.0))))
+    mean, std, coefficients = _model()
+    return float(1.0 / (1.0 + np.exp(-np.clip(expanded(x, mean, std) @ coefficients, -30.0, 30.0))))

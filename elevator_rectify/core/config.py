@@ -66,6 +66,12 @@ class HypothesesConfig(Checked):
     neighbours: int = value(5, "neighbours to the right and below that a seed may use", low=1, high=20)
     seeds: int = value(96, "best supported seeds that are grown", low=1, high=1000)
     refined: int = value(8, "best grown hypotheses that are refined", low=1, high=100)
+    quick_confidence: float = value(
+        0.97, "a first search of an eighth suffices where its fit is at least as sure as this", low=0.0, high=1.0
+    )
+    last_attempt: int = value(
+        8, "times more hypotheses in a last search, where the fit is refused; 1: none", low=1, high=100
+    )
     max_axis_angle_rad: float = value(0.9, "largest angle of a row from horizontal in the image", low=0.1, high=1.5)
     max_aspect: float = value(3.5, "largest ratio of a cell's sides in the image", low=1.0, high=20.0)
 

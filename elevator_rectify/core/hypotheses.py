@@ -18,6 +18,11 @@ _TOLERANCES_CELLS = (0.42, 0.3, 0.28, 0.28, 0.28)
 # depth): the sine of the tilt along that axis.
 _TILT_SINE = 0.5
 _BEYOND = 1e6
+# Adjugate entry (j, i) is G[i+1, j+1] G[i+2, j+2] - G[i+1, j+2] G[i+2, j+1], indices modulo 3: places in a flat G.
+_I, _J = np.meshgrid(np.arange(3), np.arange(3))
+_NEXT_NEXT, _LAST_LAST, _NEXT_LAST, _LAST_NEXT = (
+    (3 * ((_I + i) % 3) + (_J + j) % 3).ravel() for i, j in ((1, 1), (2, 2), (1, 2), (2, 1))
+)
 # Cells that a triple spans to the right and down (where a button between is missing), the shear of its lower point in
 # units of its right one (the point below is missing, or its row is shifted), brick layout or not, the variant's cost.
 _Variant = tuple[tuple[float, float], float, float, float]
@@ -155,22 +160,26 @@ def _assigned(G: Array, z: Array, brick: Array, radius: float, tolerance: float)
     """Return the nearest nodes (S, N, 2) of points z (S, N, 2), and weights (S, N): 0 outside radius and tolerance."""
     q = lattice_coordinates(G, z)
     cells = nearest_nodes(q, brick)
-    error = np.linalg.norm(q - cells, axis=2)
+    error = np.hypot(q[..., 0] - cells[..., 0], q[..., 1] - cells[..., 1])
     inside = (np.abs(q).max(axis=2) < radius) & (error < tolerance)
     return np.where(inside[..., None], cells, 0.0), inside * (1.0 - (error / tolerance) ** 2)
 
 
 def lattice_coordinates(G: Array, points: Array) -> Array:
     """Return G^-1 points (S, N, 2); far away where a point is beyond the plane's horizon or G is singular."""
-    # The adjugate is the inverse up to a factor, and exists always.
-    adjugate = np.stack(
-        [np.cross(G[:, :, 1], G[:, :, 2]), np.cross(G[:, :, 2], G[:, :, 0]), np.cross(G[:, :, 0], G[:, :, 1])], axis=1
-    )
+    adjugate = adjugates(G)
     determinant = (adjugate[:, 0] * G[:, :, 0]).sum(axis=1)[:, None, None]
     mapped = points @ np.swapaxes(adjugate[:, :, :2], 1, 2) + adjugate[:, None, :, 2]
     scale = mapped[..., 2:] * np.sign(determinant)
     front = scale > 1e-9 * np.abs(determinant)
     return np.where(front, mapped[..., :2] * np.sign(determinant) / np.where(front, scale, 1.0), _BEYOND)
+
+
+def adjugates(G: Array) -> Array:
+    """Return the adjugates of (S, 3, 3): inverses up to a factor, which exist always."""
+    flat = G.reshape(-1, 9)
+    product = flat[:, _NEXT_NEXT] * flat[:, _LAST_LAST] - flat[:, _NEXT_LAST] * flat[:, _LAST_NEXT]
+    return np.asarray(product.reshape(-1, 3, 3))
 
 
 def fit_homographies(cells: Array, z: Array, weights: Array, ridge: Array) -> Array:
@@ -179,20 +188,22 @@ def fit_homographies(cells: Array, z: Array, weights: Array, ridge: Array) -> Ar
     z (g31 u + g32 v + 1) = g1 u + g2 v + g3, linear in the eight unknowns (Hartley and Zisserman, 4.1);
     ridge (S,): noise over prior standard deviation of the perspective terms.
     """
-    u, v = cells[..., 0], cells[..., 1]
-    A = np.stack([u, v, np.ones_like(u)], axis=-1)
-    M = np.einsum("sn,sni,snj->sij", weights, A, A) + 1e-9 * np.eye(3)
-    wz = weights[..., None] * z
-    wzz = (wz * z).sum(axis=-1)
-    uv = cells
-    cross = np.stack([np.einsum("sni,snj->sij", A * wz[..., k, None], uv) for k in (0, 1)], axis=1)
-    right = np.einsum("snk,sni->ski", wz, A)
-    inverse = np.linalg.inv(M)
+    A = np.concatenate([cells, np.ones((*cells.shape[:2], 1))], axis=-1)
+    # All sums at once: the weighted products of (A, x A, y A) with each other.
+    terms = np.concatenate([A, A * z[..., :1], A * z[..., 1:]], axis=-1)
+    gram = np.swapaxes(terms * weights[..., None], 1, 2) @ terms
+    M = gram[:, :3, :3] + 1e-9 * np.eye(3)
+    # (S, 2, 3, 2) and (S, 2, 3, 1): sums of A with z (u, v) and with z, for both coordinates of z.
+    cross = np.stack([gram[:, :3, 3:5], gram[:, :3, 6:8]], axis=1)
+    right = np.stack([gram[:, :3, 5:6], gram[:, :3, 8:9]], axis=1)
+    inverse = np.linalg.inv(M)[:, None]
     # Eliminate the affine part: a 2 x 2 system for the perspective terms.
-    D = np.einsum("sn,sni,snj->sij", wzz, uv, uv) - np.einsum("skia,sij,skjb->sab", cross, inverse, cross)
-    c = np.einsum("skia,sij,skj->sa", cross, inverse, right) - np.einsum("sn,sni->si", wzz, uv)
-    perspective = np.linalg.solve(D + np.eye(2) * (ridge**2)[:, None, None], c[..., None])[..., 0]
-    affine = np.einsum("sij,skj->ski", inverse, right + np.einsum("skia,sa->ski", cross, perspective))
+    eliminated = np.swapaxes(cross, 2, 3) @ inverse
+    D = gram[:, 3:5, 3:5] + gram[:, 6:8, 6:8] - (eliminated @ cross).sum(axis=1)
+    c = (eliminated @ right).sum(axis=1) - gram[:, 3:5, 5:6] - gram[:, 6:8, 8:9]
+    perspective = np.linalg.solve(D + np.eye(2) * (ridge**2)[:, None, None], c)
+    affine = (inverse @ (right + cross @ perspective[:, None]))[..., 0]
+    perspective = perspective[..., 0]
     G = np.empty((len(cells), 3, 3))
     G[:, :2], G[:, 2, :2], G[:, 2, 2] = affine, perspective, 1.0
     return G

@@ -21,6 +21,8 @@ _HUBER = 4.0
 _STEEP_RAD, _TURNED_RAD = 0.2, 0.02
 _FIELDS = ("R", "t", "log_aspect", "centre", "brick")
 _FARTHEST_CELL = 300
+# vector @ _CROSS is its cross product matrix, row by row.
+_CROSS = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0.0]])
 ANNEALING = (2.0, 1.4, 1.0, 1.0)
 
 
@@ -90,11 +92,8 @@ def mirrored(poses: Poses) -> Poses:
 
 def rotations(vectors: Array) -> Array:
     """Return (B, 3, 3) rotations of vectors (B, 3) (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
-    safe = np.where(angle > 1e-12, angle, 1.0)
-    zero = np.zeros(len(vectors))
-    x, y, z = vectors.T
-    K = np.stack([np.stack(row, -1) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])], axis=1) / safe
+    angle = np.sqrt((vectors * vectors).sum(axis=1))[:, None, None]
+    K = (vectors @ _CROSS).reshape(-1, 3, 3) / np.where(angle > 1e-12, angle, 1.0)
     return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K))
 
 
@@ -154,7 +153,7 @@ def nearest_cells(G: Array, brick: Array, rays: Array) -> tuple[Array, Array]:
 def supporting_cells(G: Array, brick: Array, rays: Array, tolerance: float = 0.28) -> tuple[Array, Array]:
     """Return cells (B, N, 2) and inliers (B, N) of homographies (B, 3, 3): detections near a node, in cells."""
     cells, q = nearest_cells(G, brick, rays)
-    near = (np.linalg.norm(q - cells, axis=-1) < tolerance).astype(float)
+    near = (((q - cells) ** 2).sum(axis=-1) < tolerance**2).astype(float)
     return cells, connected(cells, near)
 
 
@@ -181,7 +180,7 @@ def fitted(
         predicted, J, _ = jacobians(poses, cells)
         error = rays - predicted
         # Huber's weights: one wrong cell must not carry the others away.
-        weights = inlier / np.maximum(1.0, np.linalg.norm(error, axis=-1) / (_HUBER * sigma))
+        weights = inlier / np.maximum(1.0, np.hypot(error[..., 0], error[..., 1]) / (_HUBER * sigma))
         poses = stepped(poses, gauss_newton(J, error, weights, wide, poses.log_aspect, config))
     return poses
 

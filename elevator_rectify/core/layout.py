@@ -25,6 +25,8 @@ from elevator_rectify.core.pose import LatticePose, cross_matrix
 from elevator_rectify.core.types import Array, IntArray
 
 _STEPS = 5
+# A step of less, in pitches and radians, is far below any noise; Gauss-Newton's next one would be its square.
+_SETTLED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def refine_layout(
         gradient[6] -= fit.pose.log_aspect[0] / config.log_aspect_std**2
         step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
         fit = evaluate(stepped(fit.pose, step[None, :7]), _moved(fit.layout, step[7:]), rays, sigma, area, config)
-        if np.abs(step).max() < 1e-5:
+        if np.abs(step).max() < _SETTLED:
             break
     return fit
 

@@ -18,6 +18,8 @@ _MAX_EXTRA_LINES = 10
 # Two rows of buttons are no closer than this; a staggered one fits between.
 _CLOSEST = 0.6
 _EXTRAPOLATED = 2.0
+# A row between two that are a pitch apart is real where more than one detection lies on it, chance otherwise.
+_INTERSTITIAL_GAP, _INTERSTITIAL_DETECTIONS = 0.75, 2
 
 
 def with_extra_rows(fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
@@ -77,9 +79,10 @@ def _best_extra_row(fit: LayoutFit, rays: Array, sigma: float, area: float, conf
         delta = np.stack([across, q[left, 1] - positions[:, None]], axis=-1)
         error2 = (np.einsum("nij,pnj->pni", d_uv, delta) ** 2).sum(axis=-1)
         gains = np.logaddexp(0.0, odds - 0.5 * error2 / spread**2).sum(axis=1) - loss
+        supporters = (error2 < (3.0 * spread) ** 2).sum(axis=1)
         for k in np.argsort(-gains)[:6]:
             trial = _inserted(layout, float(positions[k]), stagger)
-            if trial is None:
+            if trial is None or (_interstitial(layout, positions[k]) and supporters[k] < _INTERSTITIAL_DETECTIONS):
                 continue
             lost = _row_value(fit, positions[k]) if len(trial.rows) == len(layout.rows) else 0.0
             gain = float(gains[k]) - lost - penalty(trial, config) + penalty(layout, config)
@@ -93,6 +96,14 @@ def _row_value(fit: LayoutFit, position: float) -> float:
     row = int(np.abs(fit.layout.rows - position).argmin())
     mine = (fit.node // len(fit.layout.columns) == row) & (fit.inlier > 0.5)
     return 6.0 * float(mine.sum())
+
+
+def _interstitial(layout: Layout, position: float) -> bool:
+    """Tell whether a row at this position is closer than usual to a row above and to one below."""
+    distance = position - layout.rows
+    above = (distance > 0) & (distance < _INTERSTITIAL_GAP)
+    below = (distance < 0) & (distance > -_INTERSTITIAL_GAP)
+    return bool(above.any() and below.any())
 
 
 def _inserted(layout: Layout, position: float, stagger: float) -> Layout | None:

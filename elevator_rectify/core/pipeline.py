@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from elevator_rectify.core.attempts import best_attempt, tracked
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
-from elevator_rectify.core.joint import JointFit, fit_joint, track_joint, turned
-from elevator_rectify.core.lattice_fit import rotations
 from elevator_rectify.core.paper import fit_paper
-from elevator_rectify.core.result import failed_fit, joint_fit, layout_of, paper_fit
+from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, GridFit
 
 DEFAULT_CONFIG = Config()
@@ -36,11 +35,12 @@ def fit_panel(
     if len(usable.index) < config.input.min_detections:
         reason = f"{len(usable.index)} usable detections, {config.input.min_detections} needed{_dropped(usable)}"
         return failed_fit("too_few_detections", reason, usable, config)
-    sigma = _sigma_px(usable, camera, config) / camera.focal_px
+    sigma = sigma_px(usable, camera, config) / camera.focal_px
     if _is_line(usable.rays, 2.0 * sigma):
         return failed_fit("collinear", "all detections lie on one line: one row or column has no pose", usable, config)
     if config.method == "joint":
-        return joint_fit(_joint(usable, camera, sigma, config, previous), usable, camera, sigma, config)
+        last = tracked(usable, camera, sigma, config, previous) if previous is not None else None
+        return last or best_attempt(usable, camera, sigma, config).result
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
 
@@ -70,26 +70,7 @@ def fit_panels(
         left = left[~taken]
 
 
-def _joint(usable: Usable, camera: Camera, sigma: float, config: Config, previous: GridFit | None) -> JointFit | None:
-    """Track the previous fit, or search."""
-    area = camera.width * camera.height / camera.focal_px**2
-    # Seen in a camera turned upright, the panel's rows point to the right.
-    R_upright_camera = rotations(np.array([[0.0, 0.0, -config.joint.camera_roll_rad]]))[0]
-    rays = usable.rays @ R_upright_camera[:2, :2].T
-    if previous is not None and previous.ok and previous.method == "joint":
-        share = previous.inliers / max(1, len(previous.cells))
-        last = turned(layout_of(previous), R_upright_camera)
-        tracked = track_joint(last, share, rays, sigma, area, config)
-        if tracked is not None:
-            return JointFit(turned(tracked, R_upright_camera.T), None, previous.margin_nats)
-    fit = fit_joint(rays, sigma, area, config)
-    if fit is None:
-        return None
-    other = turned(fit.other, R_upright_camera.T) if fit.other else None
-    return JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
-
-
-def _sigma_px(usable: Usable, camera: Camera, config: Config) -> float:
+def sigma_px(usable: Usable, camera: Camera, config: Config) -> float:
     """Return the standard deviation of the detected centres: of boxes a share of their size, else by the image's."""
     sizes = np.sqrt(usable.sizes_px.prod(axis=1))
     if (sizes > 0).all():

@@ -1,0 +1,72 @@
+"""Time of one fit by the number of detections: from scratch, and given the fit of the frame before."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.core.config import Config, with_values
+from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.render.levels import LEVELS, closest, random_view
+from elevator_rectify.render.panel import PITCH_M, regular_panel
+from elevator_rectify.render.scene import DetectorModel, Scene, make_scene, paper_camera
+
+SIZES = {10: (5, 2), 30: (10, 3), 60: (12, 5)}
+_LEVEL = LEVELS["medium"]
+# The second frame: the same view, the detector's noise drawn again.
+_FALSE = 0.05
+
+
+@dataclass(frozen=True)
+class Times:
+    """Milliseconds of a fit from scratch and of one that tracks it (NaN where the first was refused)."""
+
+    scratch_ms: float
+    tracked_ms: float
+    accepted: bool
+
+
+def timed(task: tuple[str, int, int, int]) -> Times:
+    """Time one draw: (method, detections, seed, number)."""
+    method, size, seed, number = task
+    config = with_values(Config(), {"method": method})
+    first, second = _frames(size, np.random.default_rng([seed, number, size]))
+    start = time.perf_counter()
+    fit = fit_panel(first.centres_px, first.camera, config)
+    middle = time.perf_counter()
+    fit_panel(second.centres_px, second.camera, config, previous=fit)
+    end = time.perf_counter()
+    return Times(1e3 * (middle - start), 1e3 * (end - middle) if fit.ok else float("nan"), fit.ok)
+
+
+def _frames(size: int, rng: np.random.Generator) -> tuple[Scene, Scene]:
+    """Return two noisy looks at one panel of `size` buttons from a viewpoint of the medium level."""
+    rows, columns = SIZES[size]
+    panel = regular_panel(rows, columns, PITCH_M * float(np.exp(rng.normal(0.0, 0.2))))
+    detector = DetectorModel(_LEVEL.sigma_px, false=_FALSE)
+    while True:
+        view = random_view(_LEVEL, rng)
+        first, second = (make_scene(panel, paper_camera(), view, detector, rng) for _ in range(2))
+        if closest(first.pixels) >= 10.0:
+            return first, second
+
+
+def timing_table(method: str, trials: int, seed: int, yardstick: float) -> str:
+    """Return the table of times in yardsticks."""
+    lines = [
+        f"{method:<10}{'N':>4}{'scratch med':>13}{'p95':>7}{'tracked med':>13}{'p95':>7}{'accept':>8}   in yardsticks"
+    ]
+    for size in SIZES:
+        tasks = [(method, size, seed, n) for n in range(trials)]
+        results = parallel(timed, tasks, f"time of {size}", workers=1)
+        scratch = np.array([t.scratch_ms for t in results]) / yardstick
+        tracked = np.array([t.tracked_ms for t in results]) / yardstick
+        accepted = np.mean([t.accepted for t in results])
+        lines.append(
+            f"{'':<10}{size:>4}{np.median(scratch):>13.1f}{np.percentile(scratch, 95):>7.1f}"
+            f"{np.nanmedian(tracked):>13.2f}{np.nanpercentile(tracked, 95):>7.2f}{accepted:>8.2f}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,88 @@
+"""How long to search: track the last fit, else a small search, and wider ones while its fit is doubtful."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.config import Config, HypothesesConfig
+from elevator_rectify.core.detections import Usable
+from elevator_rectify.core.joint import JointFit, fit_joint, track_joint, turned
+from elevator_rectify.core.lattice_fit import rotations
+from elevator_rectify.core.result import joint_fit, layout_of
+from elevator_rectify.core.types import Array, GridFit
+
+# The first search's share of the hypotheses.
+_QUICK = 0.125
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One search: what it found, the result made of it, and the confidence that makes the next one needless."""
+
+    fit: JointFit | None
+    result: GridFit
+    enough: float
+
+
+def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config) -> Attempt:
+    """Return the likeliest of as many searches as are needed. sigma: of the detections, in normalised units."""
+    best: Attempt | None = None
+    for attempt in attempts(usable, camera, sigma, config):
+        if best is None or _likelihood(attempt.fit) > _likelihood(best.fit):
+            best = attempt
+        if best.result.ok and best.result.confidence >= attempt.enough:
+            break
+    assert best is not None
+    return best
+
+
+def attempts(usable: Usable, camera: Camera, sigma: float, config: Config) -> Iterator[Attempt]:
+    """Search, each time among more hypotheses."""
+    R_upright_camera = _upright(config)
+    rays = usable.rays @ R_upright_camera[:2, :2].T
+    area = camera.width * camera.height / camera.focal_px**2
+    for hypotheses, enough in _widths(config.hypotheses):
+        fit = fit_joint(rays, sigma, area, replace(config, hypotheses=hypotheses))
+        if fit is not None:
+            other = turned(fit.other, R_upright_camera.T) if fit.other else None
+            fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
+        yield Attempt(fit, joint_fit(fit, usable, camera, sigma, config), enough)
+
+
+def tracked(usable: Usable, camera: Camera, sigma: float, config: Config, previous: GridFit) -> GridFit | None:
+    """Return the previous fit moved to these detections, None where it does not explain them."""
+    if not previous.ok or previous.method != "joint":
+        return None
+    R_upright_camera = _upright(config)
+    share = previous.inliers / max(1, len(previous.cells))
+    area = camera.width * camera.height / camera.focal_px**2
+    last = turned(layout_of(previous), R_upright_camera)
+    fit = track_joint(last, share, usable.rays @ R_upright_camera[:2, :2].T, sigma, area, config)
+    if fit is None:
+        return None
+    moved = JointFit(turned(fit, R_upright_camera.T), None, previous.margin_nats)
+    return joint_fit(moved, usable, camera, sigma, config)
+
+
+def _upright(config: Config) -> Array:
+    """Return the rotation to a camera turned upright, in which the panel's rows point to the right."""
+    return np.asarray(rotations(np.array([[0.0, 0.0, -config.joint.camera_roll_rad]]))[0])
+
+
+def _likelihood(fit: JointFit | None) -> float:
+    return -np.inf if fit is None else fit.best.log_likelihood
+
+
+def _widths(config: HypothesesConfig) -> list[tuple[HypothesesConfig, float]]:
+    """Return the searches, each wider than the one before, and the confidence that makes the next one needless."""
+
+    def scaled(times: float) -> HypothesesConfig:
+        seeds, refined = round(times * config.seeds), round(times * config.refined)
+        return replace(config, seeds=min(1000, max(1, seeds)), refined=min(100, max(2, refined)))
+
+    widths = [(scaled(_QUICK), config.quick_confidence), (config, 0.0), (scaled(config.last_attempt), 0.0)]
+    return widths[config.quick_confidence >= 1.0 : 2 if config.last_attempt == 1 else 3]
