@@ -19,7 +19,7 @@ export ROS_DOMAIN_ID ?= 77
 demo: setup
 	$(BIN)/python -m elevator_rectify demo --domain $(ROS_DOMAIN_ID)
 
-test: lint
+test: lint $(VENV)/ready-interfaces
 	rm -f .cache/coverage.*
 	$(BIN)/python -m coverage run -m pytest -q --durations=8
 	$(BIN)/python -m coverage combine -q && $(BIN)/python -m coverage report
@@ -33,6 +33,14 @@ $(VENV)/ready-$(VERSIONS): $(wildcard config/requirements-*.txt)
 	@echo "setting up $(VENV) (about a minute, once) ..."
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
 	$(BIN)/pip install --disable-pip-version-check --progress-bar on $(REQUIREMENTS)
+	touch $@
+
+# Stand-ins for message packages that are not on PyPI; where ROS is installed, its own are used.
+$(VENV)/ready-interfaces: $(VENV)/ready-$(VERSIONS) $(wildcard test/interfaces/*/msg/*.msg test/interfaces/build.py)
+ifneq ($(ROS),installed)
+	$(BIN)/pip install --disable-pip-version-check --progress-bar on -r config/requirements-interfaces.txt
+	$(BIN)/python test/interfaces/build.py
+endif
 	touch $@
 
 clean:

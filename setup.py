@@ -16,7 +16,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", glob("config/*.yaml") + glob("config/*.xml")),
+        (f"share/{NAME}/config", glob("config/*.yaml") + glob("config/*.xml") + glob("config/*.rviz")),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
     ],
     install_requires=["setuptools"],
@@ -31,6 +31,10 @@ setup(
             "play = elevator_rectify.play:main",
             "benchmark = elevator_rectify.benchmark.program:main",
             "calibrate = elevator_rectify.calibrate:main",
+            "relay = elevator_rectify.live.relay:main",
+            "latency = elevator_rectify.live.latency:main",
+            "soak = elevator_rectify.live.soak:main",
+            "chaos = elevator_rectify.live.chaos:main",
         ]
     },
 )

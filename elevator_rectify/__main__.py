@@ -14,6 +14,10 @@ PROGRAMS = {
     "play": ("elevator_rectify.play", "play a bag into live topics"),
     "benchmark": ("elevator_rectify.benchmark.program", "how right, how honest, how fast: three tables"),
     "calibrate": ("elevator_rectify.calibrate", "refit the confidence on generated scenes"),
+    "latency": ("elevator_rectify.live.latency", "latency and processor time of the live node beside a bare relay"),
+    "relay": ("elevator_rectify.live.relay", "the bare relay of the latency table"),
+    "soak": ("elevator_rectify.live.soak", "memory, rates and latencies of the live node over many frames"),
+    "chaos": ("elevator_rectify.live.chaos", "the live node under everything that goes wrong, its counts checked"),
     "demo": ("elevator_rectify.demo", "the live node, fed by a bag over DDS, checked and shown"),
 }
 
@@ -27,7 +31,7 @@ def main() -> int:
         return 0 if name in ("", "-h", "--help") else 2
     program = importlib.import_module(PROGRAMS[name][0])
     # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
-    return int(program.main(sys.argv[1:] if name == "node" else sys.argv[2:]))
+    return int(program.main(sys.argv[1:] if name in ("node", "relay") else sys.argv[2:]))
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from elevator_rectify.bag import BadBag, Record, bag_topics, read_bag
 from elevator_rectify.core.types import Image
-from elevator_rectify.ros.convert import image_from_message
 from elevator_rectify.ros.messages import make_ros, ros_type
-from elevator_rectify.ros.output import image_message, ros_header
+from elevator_rectify.ros.output import image_message
+from elevator_rectify.ros.pictures import image_from_message
+from elevator_rectify.ros.poses import ros_header
 
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _DEPTH = 10

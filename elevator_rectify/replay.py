@@ -15,11 +15,12 @@ from elevator_rectify.core.config import METHODS, Config, flatten, with_values
 from elevator_rectify.progress import progress
 from elevator_rectify.report import write_report
 from elevator_rectify.ros.answer import answer_frame
-from elevator_rectify.ros.config import PairingConfig
+from elevator_rectify.ros.config import NodeConfig, PairingConfig
 from elevator_rectify.ros.output import TOPICS, output_messages
 from elevator_rectify.ros.pairing import Frame, Pairing
 
 OUTPUT_PREFIX = "/elevator_rectify/"
+_SINGLE_IMAGES = NodeConfig(track=False)
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,8 @@ def replay(path: Path, output: Path, topics: InputTopics, config: Config) -> Cou
 
 def _answer_into(bag: BagWriter, frame: Frame, config: Config, time_ns: int) -> str:
     """Write everything that the node would publish for the frame; return the status."""
-    answer = answer_frame(frame, config)
-    for topic, message in output_messages(answer, make_bag_message):
+    answer, _ = answer_frame(frame, config, node=_SINGLE_IMAGES)
+    for topic, message in output_messages(answer, make_bag_message, TOPICS.__contains__):
         bag.write(OUTPUT_PREFIX + topic, TOPICS[topic], message, time_ns)
     return answer.fit.status
 

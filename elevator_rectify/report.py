@@ -15,7 +15,8 @@ from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.draw import caption
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.evaluate import right_cells, rotation_angle_rad
-from elevator_rectify.ros.convert import camera_from_message, image_from_message, stamp_ns
+from elevator_rectify.ros.convert import camera_from_message, stamp_ns
+from elevator_rectify.ros.pictures import image_from_message
 
 _TILE = (320, 240)
 
@@ -72,7 +73,7 @@ def read_outcomes(source: Path, output: Path) -> list[Outcome]:
         _take_input(outcome, record.topic, kinds[record.topic], message)
     for record in read_bag_quietly(output):
         message, topic = record.message, record.topic.removeprefix("/elevator_rectify/")
-        stamp = _status_stamp(message) if topic == "status" else stamp_ns(message.header)
+        stamp = _output_stamp(topic, message)
         if stamp in outcomes:
             _take_output(outcomes[stamp], topic, message)
     return [outcomes[stamp] for stamp in sorted(outcomes) if outcomes[stamp].values]
@@ -88,7 +89,7 @@ def read_bag_quietly(path: Path) -> Any:
 
 def _take_input(outcome: Outcome, topic: str, kind: str, message: Any) -> None:
     if topic == "/truth/panel_pose":
-        outcome.true_pose = _pose(message.pose)
+        outcome.true_pose = pose_of_message(message.pose)
     elif topic == "/truth/buttons":
         outcome.true_buttons = _positions(message)
     elif topic == "/truth/cells":
@@ -104,7 +105,7 @@ def _take_output(outcome: Outcome, topic: str, message: Any) -> None:
         outcome.values = {pair.key: pair.value for pair in message.values}
         outcome.verdict = message.message
     elif topic == "panel_pose":
-        outcome.pose = _pose(message.pose.pose)
+        outcome.pose = pose_of_message(message.pose.pose)
     elif topic == "grid_centers":
         outcome.grid = _positions(message)
     elif topic == "overlay":
@@ -113,13 +114,19 @@ def _take_output(outcome: Outcome, topic: str, message: Any) -> None:
         outcome.view = image_from_message(message)
 
 
-def _status_stamp(message: Any) -> int:
+def _output_stamp(topic: str, message: Any) -> int:
+    """Return the stamp of the image that an output belongs to."""
+    if topic == "markers":
+        return stamp_ns(message.markers[0].header)
+    if topic != "status":
+        return stamp_ns(message.header)
     text = next(pair.value for pair in message.values if pair.key == "stamp")
     seconds, _, nanoseconds = text.partition(".")
     return int(seconds) * 10**9 + int(nanoseconds)
 
 
-def _pose(message: Any) -> tuple[Array, Array]:
+def pose_of_message(message: Any) -> tuple[Array, Array]:
+    """Return R (3, 3) and t (3,) of a geometry_msgs/Pose."""
     q, p = message.orientation, message.position
     half = np.array([q.x, q.y, q.z])
     length = float(np.linalg.norm(half))

@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.core import Camera
 from elevator_rectify.core.types import Array, Image
 from elevator_rectify.render.scene import paper_camera
-from elevator_rectify.ros.messages import make_ros
+from elevator_rectify.ros.messages import make_ros, ros_type
 from elevator_rectify.ros.output import camera_info_message, image_message
 
 
@@ -33,4 +33,17 @@ def detections(stamp_ns: int = 0, centres: Array | None = None) -> Any:
         pose = make_ros("geometry_msgs/msg/Pose")
         pose.position.x, pose.position.y = float(x), float(y)
         message.poses.append(pose)
+    return message
+
+
+def vision_detections(stamp_ns: int, centres: Array, labels: list[str]) -> Any:
+    message = ros_type("vision_msgs/msg/Detection2DArray")(header=header(stamp_ns))
+    for (x, y), label in zip(centres, labels, strict=True):
+        item = ros_type("vision_msgs/msg/Detection2D")(header=header(stamp_ns))
+        item.bbox.center.position.x, item.bbox.center.position.y = float(x), float(y)
+        item.bbox.size_x = item.bbox.size_y = 20.0
+        result = ros_type("vision_msgs/msg/ObjectHypothesisWithPose")()
+        result.hypothesis.class_id, result.hypothesis.score = label, 0.9
+        item.results.append(result)
+        message.detections.append(item)
     return message

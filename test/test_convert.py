@@ -4,11 +4,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from elevator_rectify.core.motion import rotation
-from elevator_rectify.ros.convert import BadMessage, camera_from_message, detections_from_message, image_from_message
+from elevator_rectify.ros.convert import camera_from_message, detections_from_message
 from elevator_rectify.ros.messages import make_ros
-from elevator_rectify.ros.output import quaternion
+from elevator_rectify.ros.pictures import ENCODINGS, BadMessage, check_image, depth_from_message, image_from_message
+from elevator_rectify.ros.poses import quaternion
 from test.messages import camera_info, detections, header, image
 
 PICTURE = np.random.default_rng(0).integers(0, 255, (6, 10, 3), dtype=np.uint8)
@@ -26,6 +29,91 @@ def test_encodings_and_padded_rows(padding: int) -> None:
     np.testing.assert_array_equal(image_from_message(raw("bgr8", PICTURE, padding)), PICTURE)
     np.testing.assert_array_equal(image_from_message(raw("rgb8", PICTURE, padding)), PICTURE[..., ::-1])
     np.testing.assert_array_equal(image_from_message(raw("mono8", PICTURE[..., 0].copy(), padding)), PICTURE[..., 0])
+
+
+@pytest.mark.parametrize("big_endian", [0, 1])
+@pytest.mark.parametrize("encoding", ["mono16", "bgr16", "rgb16"])
+def test_of_sixteen_bits_the_upper_ones_are_kept(encoding: str, big_endian: int) -> None:
+    grey = encoding == "mono16"
+    values = (PICTURE[..., 0] if grey else PICTURE).astype(np.uint16) * 256 + 77
+    message = raw(encoding, values.astype(">u2" if big_endian else "<u2").view(np.uint8), 4)
+    message.width, message.is_bigendian = PICTURE.shape[1], big_endian
+    expected = {"mono16": PICTURE[..., 0], "bgr16": PICTURE, "rgb16": PICTURE[..., ::-1]}[encoding]
+    np.testing.assert_array_equal(image_from_message(message), expected)
+
+
+def test_alpha_is_dropped() -> None:
+    alpha = np.dstack([PICTURE, np.full(PICTURE.shape[:2], 9, np.uint8)])
+    np.testing.assert_array_equal(image_from_message(raw("bgra8", alpha)), PICTURE)
+    np.testing.assert_array_equal(image_from_message(raw("rgba8", alpha[..., [2, 1, 0, 3]])), PICTURE)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_bayer_patterns_show_the_colour_that_was_sampled(pattern: str, bits: int) -> None:
+    """An even colour, sampled by the pattern's letters row by row, comes back everywhere."""
+    colour = {"b": 40, "g": 90, "r": 200}
+    mosaic = np.tile(np.array([colour[c] for c in pattern], np.uint8).reshape(2, 2), (4, 5))
+    samples = (mosaic.astype("<u2") << 8).view(np.uint8) if bits == 16 else mosaic
+    message = raw(f"bayer_{pattern}{bits}", samples)
+    message.width = mosaic.shape[1]
+    np.testing.assert_array_equal(image_from_message(message), np.full((8, 10, 3), [40, 90, 200], np.uint8))
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("yuv422", "uyvy"), ("uyvy", "uyvy"), ("yuv422_yuy2", "yuyv")])
+def test_both_byte_orders_of_yuv(encoding: str, order: str) -> None:
+    colour = np.full((2, 4, 3), [30, 160, 220], np.uint8)
+    y = int(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)[0, 0])
+    # Video range: luma 16 to 235, chroma 16 to 240.
+    sample = {
+        "y": round(16 + y * 219 / 255),
+        "u": round(128 + 0.564 * (30 - y) * 224 / 255),
+        "v": round(128 + 0.713 * (220 - y) * 224 / 255),
+    }
+    data = np.tile(np.array([sample[c] for c in order], np.uint8), (2, 2)).reshape(2, 8)
+    message = raw(encoding, data)
+    message.width = 4
+    # Rounding of three samples and the conversion's constants.
+    np.testing.assert_allclose(image_from_message(message).astype(int), colour.astype(int), atol=6)
+    message.width = 3
+    with pytest.raises(BadMessage, match="cannot hold"):
+        image_from_message(message)
+
+
+def test_depth_images() -> None:
+    millimetres = np.array([[0, 500], [65535, 1234]], np.uint16)
+    message = raw("16UC1", millimetres.view(np.uint8).reshape(2, 4))
+    message.width = 2
+    np.testing.assert_allclose(depth_from_message(message), [[np.nan, 0.5], [65.535, 1.234]])
+    metres = np.array([[np.nan, 0.5], [-1.0, np.inf]], ">f4")
+    message = raw("32FC1", metres.view(np.uint8).reshape(2, 8))
+    message.width, message.is_bigendian = 2, 1
+    np.testing.assert_allclose(depth_from_message(message), [[np.nan, 0.5], [np.nan, np.nan]])
+    with pytest.raises(BadMessage, match="depth: encoding = bgr8"):
+        depth_from_message(raw("bgr8", PICTURE))
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    encoding=st.sampled_from([*ENCODINGS, "16UC1", "32FC1", "", "mono8 "]),
+    width=st.integers(0, 9),
+    height=st.integers(0, 9),
+    step=st.integers(0, 60),
+    big_endian=st.integers(0, 1),
+    data=st.binary(max_size=300),
+)
+def test_any_image_is_converted_or_refused(
+    encoding: str, width: int, height: int, step: int, big_endian: int, data: bytes
+) -> None:
+    message = make_ros("sensor_msgs/msg/Image", header=header(0), height=height, width=width, encoding=encoding)
+    message.step, message.is_bigendian, message.data = step, big_endian, array.array("B", data)
+    for convert in (image_from_message, depth_from_message, check_image):
+        try:
+            convert(message)
+        except BadMessage as error:
+            assert len(str(error)) < 700
+            continue
+        assert width > 0 and height > 0 and step * height <= len(data)
 
 
 def test_compressed_pictures() -> None:
@@ -65,9 +153,33 @@ def test_camera_info() -> None:
     with pytest.raises(BadMessage, match="uncalibrated"):
         camera_from_message(message)
     message = camera_info()
-    message.binning_x = 2
-    with pytest.raises(BadMessage, match="binning"):
+    message.roi.width = 641
+    with pytest.raises(BadMessage, match="roi"):
         camera_from_message(message)
+
+
+def test_a_binned_region_sees_the_same_rays() -> None:
+    """A pixel of the region, in the full image's coordinates, has the same ray (REP-104)."""
+    message = camera_info()
+    message.d, message.distortion_model = [-0.1, 0.02, 0.0, 0.0, 0.0], "plumb_bob"
+    full = camera_from_message(message)
+    message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height = 100, 60, 400, 300
+    message.binning_x = message.binning_y = 2
+    binned = camera_from_message(message)
+    assert (binned.width, binned.height) == (200, 150)
+    inside = np.array([[10.0, 20.0], [150.0, 100.0]])
+    np.testing.assert_allclose(binned.rays(inside), full.rays(2 * inside + [100, 60]), atol=1e-9)
+
+
+def test_a_rectified_image_is_seen_by_the_projection_matrix() -> None:
+    message = camera_info()
+    message.d = [-0.3, 0.1, 0.0, 0.0, 0.0]
+    message.p = np.array([250.0, 0, 300, 0, 0, 260, 220, 0, 0, 0, 1, 0])
+    camera = camera_from_message(message, rectified=True)
+    assert not camera.distorted and camera.matrix[0, 0] == 250.0 and camera.matrix[1, 2] == 220.0
+    message.p = np.zeros(12)
+    with pytest.raises(BadMessage, match="p = "):
+        camera_from_message(message, rectified=True)
 
 
 def test_pose_array() -> None:

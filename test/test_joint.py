@@ -1,3 +1,4 @@
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -259,3 +260,18 @@ def test_focal_length_uncertainty_predicts_the_shift_that_a_wrong_one_causes() -
 
 def test_joint_config_is_used() -> None:
     assert Config().joint == JointConfig() and Config().method == "joint"
+
+
+def test_a_crowd_is_no_panel_and_takes_bounded_time() -> None:
+    """Ten thousand points are thinned evenly, not to a strip in which a lattice as fine as the noise fits them all."""
+    for seed in range(3):
+        points = np.random.default_rng(seed).uniform(-100, 800, (10_000, 2))
+        begin = time.perf_counter()
+        assert not fit_panel(points, CAMERA).ok
+        assert time.perf_counter() - begin < 30.0
+
+
+def test_a_lattice_as_fine_as_the_noise_is_refused() -> None:
+    grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=-1).reshape(-1, 2) * 5.0 + 200.0
+    fit = fit_panel(grid + np.random.default_rng(0).normal(0, 1.5, grid.shape), CAMERA)
+    assert not fit.ok

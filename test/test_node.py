@@ -5,81 +5,22 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import QoSProfile
 
-from elevator_rectify.demo import dds_environment
-from elevator_rectify.ros.messages import ros_type
 from elevator_rectify.ros.output import TOPICS
+from test.harness import DOMAIN, ENVIRONMENT, NODE, ROOT, Harness, start, stop
 from test.messages import camera_info, detections, image
 from test.scenes import rotation_error_deg, scene
-
-ROOT = Path(__file__).parent.parent
-DOMAIN = 78
-ENVIRONMENT = {**dds_environment(DOMAIN), "ROS_PYTHON_CHECK_FIELDS": "1"}
-NODE = [sys.executable, "-m", "elevator_rectify", "node", "--ros-args", "-p", "scale.column_pitch_m:=0.045"]
-
-
-class Harness:
-    """Publishes the node's inputs and collects its outputs."""
-
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN)
-        self.node = rclpy.create_node("harness", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        kinds = {
-            "image": "sensor_msgs/msg/Image",
-            "camera_info": "sensor_msgs/msg/CameraInfo",
-            "detections": "geometry_msgs/msg/PoseArray",
-        }
-        self.inputs = {
-            name: self.node.create_publisher(ros_type(kind), name, QoSProfile(depth=50)) for name, kind in kinds.items()
-        }
-        self.received: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
-        for topic, kind in TOPICS.items():
-            add = self.received[topic].append
-            self.node.create_subscription(ros_type(kind), f"/elevator_rectify/{topic}", add, QoSProfile(depth=50))
-
-    def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> bool:
-        end = time.monotonic() + seconds
-        while not (met := condition()) and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-        return met
-
-    def connected(self) -> bool:
-        heard = all(self.node.count_publishers(f"/elevator_rectify/{topic}") for topic in TOPICS)
-        if not (heard and all(p.get_subscription_count() for p in self.inputs.values())):
-            return False
-        # The node may learn of the harness a little later than the harness of the node.
-        time.sleep(1.0)
-        return True
-
-    def send(self, *, image: Any, camera_info: Any, detections: Any) -> None:
-        for name, message in (("camera_info", camera_info), ("image", image), ("detections", detections)):
-            self.inputs[name].publish(message)
-
-    def statuses(self) -> list[str]:
-        return [message.message for message in self.received["status"]]
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture
 def process() -> Iterator[subprocess.Popen[str]]:
-    child = subprocess.Popen(NODE, env=ENVIRONMENT, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    child = start()
     yield child
     if child.poll() is None:
         child.kill()
@@ -91,15 +32,6 @@ def harness() -> Iterator[Harness]:
     harness = Harness()
     yield harness
     harness.close()
-
-
-def stop(process: subprocess.Popen[str], number: signal.Signals) -> str:
-    process.send_signal(number)
-    assert process.wait(timeout=10.0) == 0
-    assert process.stderr is not None
-    said = process.stderr.read()
-    assert "Traceback" not in said
-    return said
 
 
 def test_node_answers_good_frames_and_refuses_bad_ones(process: subprocess.Popen[str], harness: Harness) -> None:
@@ -148,7 +80,7 @@ def test_node_answers_good_frames_and_refuses_bad_ones(process: subprocess.Popen
 
 def check_outputs(harness: Harness, truth: Any) -> None:
     """The first frame's outputs carry the truth, one stamp and one frame."""
-    first = {topic: harness.received[topic][0] for topic in TOPICS if topic != "status"}
+    first = {topic: harness.received[topic][0] for topic in TOPICS if topic not in ("status", "markers")}
     assert all(m.header.stamp.nanosec == 1 and m.header.frame_id == "camera" for m in first.values())
     position = first["panel_pose"].pose.pose.position
     found = np.array([position.x, position.y, position.z])

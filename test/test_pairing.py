@@ -1,5 +1,13 @@
+from collections.abc import Callable
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from elevator_rectify.ros.config import PairingConfig
+from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.pairing import Pairing
+from elevator_rectify.ros.waiting import Waiting
 from test.messages import camera_info, detections, image
 
 
@@ -32,6 +40,23 @@ def test_camera_info_of_the_same_stamp_is_preferred_to_the_newest() -> None:
     assert frame.camera_info.header.stamp.nanosec == 2
 
 
+def test_where_every_image_has_its_own_camera_info_a_frame_waits_for_it() -> None:
+    """Topics overtake each other: the newest info may be that of the image before."""
+    pairing = Pairing(PairingConfig())
+    for stamp in (1, 2):
+        pairing.add_camera_info(camera_info(stamp))
+        pairing.add_image(image(stamp))
+        assert len(pairing.add_detections(detections(stamp))) == 1
+    pairing.add_image(image(3))
+    assert pairing.add_detections(detections(3)) == []
+    (frame,) = pairing.add_camera_info(camera_info(3))
+    assert stamp_ns(frame.camera_info.header) == 3
+    pairing.add_image(image(4))
+    assert pairing.add_detections(detections(4)) == []
+    (frame,) = pairing.add_camera_info(camera_info(5))
+    assert stamp_ns(frame.image.header) == 4, "its own info was lost"
+
+
 def test_swapped_order_gives_each_its_own() -> None:
     pairing = Pairing(PairingConfig())
     pairing.add_camera_info(camera_info())
@@ -60,3 +85,69 @@ def test_buffers_are_bounded_by_count_and_bytes() -> None:
     for stamp in range(5):
         small.add_image(image(stamp))
     assert small.waiting()["image waiting for camera_info"] == 2  # 900 KiB each
+
+
+def test_a_tolerance_takes_the_nearest_image_once_a_later_one_is_there() -> None:
+    pairing = Pairing(PairingConfig(tolerance_s=0.02))
+    pairing.add_camera_info(camera_info())
+    ms = 1_000_000
+    assert pairing.add_image(image(100 * ms)) == [] and pairing.add_detections(detections(115 * ms)) == []
+    (frame,) = pairing.add_image(image(120 * ms))
+    assert stamp_ns(frame.image.header) == 120 * ms and stamp_ns(frame.detections.header) == 115 * ms
+    assert pairing.add_detections(detections(160 * ms)) == [] and pairing.add_image(image(200 * ms)) == []
+
+
+def test_without_a_tolerance_only_equal_stamps_pair() -> None:
+    pairing = Pairing(PairingConfig())
+    pairing.add_camera_info(camera_info())
+    pairing.add_image(image(100))
+    pairing.add_image(image(102))
+    assert pairing.add_detections(detections(101)) == []
+
+
+def test_a_clock_that_goes_back_clears_the_buffers() -> None:
+    """A bag that is played in a loop: its stamps come again, and must not count as repeated."""
+    pairing = Pairing(PairingConfig())
+    pairing.add_camera_info(camera_info(5))
+    second = 1_000_000_000
+    for stamp in (1, 2, 3):
+        pairing.add_image(image(stamp * second))
+    assert len(pairing.add_detections(detections(2 * second))) == 1
+    pairing.add_image(image(1 * second))
+    assert pairing.jumps == 1 and pairing.dropped["image: clock went back"] == 2
+    assert len(pairing.add_detections(detections(1 * second))) == 1
+    pairing.add_image(image(2 * second))
+    assert len(pairing.add_detections(detections(2 * second))) == 1
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    events=st.lists(
+        st.tuples(st.sampled_from(["image", "detections", "camera_info"]), st.integers(0, 40)), max_size=60
+    ),
+    tolerance=st.sampled_from([0.0, 0.1]),
+)
+def test_every_image_and_detection_is_accounted_for(events: list[tuple[str, int]], tolerance: float) -> None:
+    config = PairingConfig(max_images=4, max_detections=3, tolerance_s=tolerance)
+    pairing, frames = Pairing(config), 0
+    make: dict[str, Callable[[int], Any]] = {"image": image, "detections": detections, "camera_info": camera_info}
+    for kind, stamp in events:
+        frames += len(getattr(pairing, f"add_{kind}")(make[kind](stamp * 100_000_000)))
+    for kind in ("image", "detections"):
+        dropped = sum(n for reason, n in pairing.dropped.items() if reason.startswith(kind))
+        waiting = sum(n for reason, n in pairing.waiting().items() if reason.startswith(kind))
+        assert pairing.received[kind] == frames + dropped + waiting
+
+
+def test_beyond_its_length_the_queue_drops_the_oldest() -> None:
+    pairing, waiting = Pairing(PairingConfig()), Waiting(2)
+    pairing.add_camera_info(camera_info())
+    late = []
+    for stamp in range(1, 5):
+        pairing.add_image(image(stamp))
+        (frame,) = pairing.add_detections(detections(stamp))
+        late += waiting.put(frame)
+    assert [stamp_ns(f.image.header) for f in late] == [1, 2]
+    first = waiting.get()
+    assert first is not None and stamp_ns(first.image.header) == 3
+    assert waiting.close() == 1 and waiting.get() is None

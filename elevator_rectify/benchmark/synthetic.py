@@ -49,10 +49,10 @@ def run_trial(level: str, seed: int, number: int, method: str) -> Trial:
     start = time.perf_counter()
     fit = fit_panel(scene.centres_px, scene.camera, config)
     elapsed = 1e3 * (time.perf_counter() - start)
-    return judged(scene, fit, LEVELS[level].sigma_px, elapsed)
+    return judged(scene, fit, elapsed)
 
 
-def judged(scene: Scene, fit: GridFit, sigma_px: float, milliseconds: float) -> Trial:
+def judged(scene: Scene, fit: GridFit, milliseconds: float) -> Trial:
     """Compare a fit with its scene's truth."""
     truth, real = scene.R_camera_panel, scene.button >= 0
     found = bool(np.isfinite(fit.R_camera_panel).all())
@@ -61,7 +61,7 @@ def judged(scene: Scene, fit: GridFit, sigma_px: float, milliseconds: float) -> 
     return Trial(
         error_deg=float(np.rad2deg(rotation_angle_rad(fit.R_camera_panel.T @ truth))) if found else 180.0,
         oracle_deg=float(np.rad2deg(rotation_angle_rad(oracle_rotation(scene).T @ truth))),
-        bound_deg=float(np.rad2deg(cramer_rao_rad(scene, sigma_px))),
+        bound_deg=float(np.rad2deg(cramer_rao_rad(scene, scene.detector.sigma_px))),
         cells=share,
         accepted=fit.ok,
         confidence=fit.confidence,

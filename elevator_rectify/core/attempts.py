@@ -17,6 +17,8 @@ from elevator_rectify.core.types import Array, GridFit
 
 # The first search's share of the hypotheses.
 _QUICK = 0.125
+# Of so many detections each true neighbour is a seed already; a last search would only cost time.
+_MANY = 100
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ def attempts(usable: Usable, camera: Camera, sigma: float, config: Config) -> It
     R_upright_camera = _upright(config)
     rays = usable.rays @ R_upright_camera[:2, :2].T
     area = camera.width * camera.height / camera.focal_px**2
-    for hypotheses, enough in _widths(config.hypotheses):
+    for hypotheses, enough in _widths(config.hypotheses, len(rays)):
         fit = fit_joint(rays, sigma, area, replace(config, hypotheses=hypotheses))
         if fit is not None:
             other = turned(fit.other, R_upright_camera.T) if fit.other else None
@@ -77,7 +79,7 @@ def _likelihood(fit: JointFit | None) -> float:
     return -np.inf if fit is None else fit.best.log_likelihood
 
 
-def _widths(config: HypothesesConfig) -> list[tuple[HypothesesConfig, float]]:
+def _widths(config: HypothesesConfig, detections: int) -> list[tuple[HypothesesConfig, float]]:
     """Return the searches, each wider than the one before, and the confidence that makes the next one needless."""
 
     def scaled(times: float) -> HypothesesConfig:
@@ -85,4 +87,5 @@ def _widths(config: HypothesesConfig) -> list[tuple[HypothesesConfig, float]]:
         return replace(config, seeds=min(1000, max(1, seeds)), refined=min(100, max(2, refined)))
 
     widths = [(scaled(_QUICK), config.quick_confidence), (config, 0.0), (scaled(config.last_attempt), 0.0)]
-    return widths[config.quick_confidence >= 1.0 : 2 if config.last_attempt == 1 else 3]
+    last = config.last_attempt > 1 and detections <= _MANY
+    return widths[config.quick_confidence >= 1.0 : 3 if last else 2]

@@ -34,7 +34,7 @@ FEATURES = (
 )
 _MARGIN_NATS = 15.0
 _NATS = 50.0
-_FARTHEST_STD = 6.0
+_FARTHEST_STD = 2.5
 
 
 @dataclass(frozen=True)
@@ -131,10 +131,10 @@ def features(fit: LayoutFit, margin: float, sigma: float, found: GridFit) -> Arr
 
 def expanded(x: Array, mean: Array, std: Array) -> Array:
     """Return (..., F) a constant, the standardised features (..., 15) and their products two by two, bounded."""
-    z = (x - mean) / std
+    # Beyond what was seen in calibration, nothing is extrapolated.
+    z = np.clip((x - mean) / std, -_FARTHEST_STD, _FARTHEST_STD)
     one, other = np.triu_indices(len(FEATURES))
-    products = np.clip(z[..., one] * z[..., other], -_FARTHEST_STD, _FARTHEST_STD)
-    return np.concatenate([np.ones((*z.shape[:-1], 1)), z, products], axis=-1)
+    return np.concatenate([np.ones((*z.shape[:-1], 1)), z, z[..., one] * z[..., other]], axis=-1)
 
 
 @cache

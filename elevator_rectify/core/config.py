@@ -160,6 +160,16 @@ class ScaleConfig(Checked):
 
 
 @dataclass(frozen=True)
+class SmoothingConfig(Checked):
+    """Smoothing from frame to frame."""
+
+    speed_m_per_s: float = value(0.3, "usual speed of the camera: how much the pose may change", low=0.0, high=100.0)
+    turn_rad_per_s: float = value(0.5, "usual turning speed of the camera", low=0.0, high=100.0)
+    max_gap_s: float = value(1.0, "a last fit older than this is forgotten", low=0.0, high=100.0)
+    usual_pitch_m: float = value(0.045, "column pitch assumed for the speed where it is unknown", low=0.001, high=1.0)
+
+
+@dataclass(frozen=True)
 class NoiseConfig(Checked):
     """Noise of the detections."""
 
@@ -186,6 +196,7 @@ class Config:
 
     method: str = value("joint", "estimator", choices=METHODS)
     input: InputConfig = field(default_factory=InputConfig)
+    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
     joint: JointConfig = field(default_factory=JointConfig)

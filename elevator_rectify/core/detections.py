@@ -13,6 +13,8 @@ from elevator_rectify.core.types import Array, Detection, IntArray
 
 # A button at the border may be detected this far beyond it, in image sizes.
 _OUTSIDE = 0.01
+# Irrational numbers: fractions of a weighted sum of coordinates are spread evenly.
+_SCATTER_X, _SCATTER_Y = 0.5 * (np.sqrt(5.0) - 1.0), np.sqrt(2.0)
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ def as_arrays(detections: Array | Sequence[Detection]) -> tuple[Array, Array, Ar
 def usable_detections(detections: Array | Sequence[Detection], camera: Camera, config: InputConfig) -> Usable:
     """Return the finite, scored, non-duplicate detections within the image and the camera's model.
 
-    Of more than `config.max_detections` the best-scored are kept; among equal scores, the first by position, so that
-    the order of the input does not matter.
+    Of more than `config.max_detections` the best-scored are kept; among equal scores, some from everywhere in the
+    image, chosen by their coordinates, so that the order of the input does not matter.
     """
     centres, sizes, scores = as_arrays(detections)
     size = np.array([camera.width, camera.height], dtype=float)
@@ -65,8 +67,9 @@ def usable_detections(detections: Array | Sequence[Detection], camera: Camera, c
         dropped[name] = int((keep & ~passed).sum())
         keep &= passed
     index = np.flatnonzero(keep)
-    # By score, then position: the canonical order.
-    index = index[np.lexsort((centres[index, 1], centres[index, 0], -scores[index]))]
+    # By score, then as good as at random, but always the same: the canonical order.
+    x, y = centres[index].T
+    index = index[np.lexsort((y, x, np.modf(np.abs(x * _SCATTER_X + y * _SCATTER_Y))[0], -scores[index]))]
     first = np.sort(np.unique(centres[index], axis=0, return_index=True)[1])
     dropped["duplicate"] = len(index) - len(first)
     index = index[first]

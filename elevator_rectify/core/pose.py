@@ -90,3 +90,10 @@ def scale_pose_covariance(covariance: Array, t: Array, pitch: float, pitch_std: 
     scaled = scale @ covariance @ scale
     scaled[:3, :3] += pitch_std**2 * np.outer(t, t)
     return np.asarray(scaled)
+
+
+def covariance_at(covariance: Array, arm: Array) -> Array:
+    """Return the covariance (6, 6) of the pose at another point of the panel, `arm` (3,) away in the camera frame."""
+    T = np.eye(6)
+    T[:3, 3:] = -cross_matrix(arm)
+    return np.asarray(T @ covariance @ T.T)

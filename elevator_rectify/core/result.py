@@ -24,6 +24,10 @@ from elevator_rectify.core.paper import PaperFit
 from elevator_rectify.core.pose import LatticePose, pose_covariance, pose_from_homography, scale_pose_covariance
 from elevator_rectify.core.types import Array, GridFit, IntArray
 
+# A lattice of a finer pitch than so many standard deviations of the detections is near to every point.
+_FINEST_PITCH_SIGMAS = 4.0
+_MOST_IN_A_CELL = 1.5
+
 
 def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> GridFit:
     """Return the result without a pose."""
@@ -82,6 +86,9 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
         other = _layout_result(fit.other, found, usable, camera, config)
         reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
         return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
+    implausible = _implausible(best, fit.best, camera)
+    if implausible:
+        return replace(best, status="no_lattice", reason=implausible)
     spread = rotation_std_rad(best.covariance)
     if spread > config.accept.max_rotation_std_rad:
         reason = f"the rotation is known to {spread:.3f} rad only, {config.accept.max_rotation_std_rad:g} allowed"
@@ -91,6 +98,17 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
             best, status="low_confidence", reason=f"confidence {score:.3f} < {config.accept.min_confidence:g}"
         )
     return replace(best, status="ok", reason="")
+
+
+def _implausible(found: GridFit, fit: LayoutFit, camera: Camera) -> str:
+    """Return why the fit cannot be a panel: its cells are as small as the noise, or hold several detections each."""
+    steps = [np.linalg.norm(np.diff(found.grid_px, axis=axis), axis=2) for axis in (0, 1)]
+    pitch_px, sigma_px = min(float(np.nanmedian(step)) for step in steps), fit.sigma * camera.focal_px
+    if not pitch_px >= _FINEST_PITCH_SIGMAS * sigma_px:
+        return f"a pitch of {pitch_px:.1f} px fits any detections that are known to {sigma_px:.1f} px"
+    on = fit.node[fit.inlier > 0.5]
+    shared = len(on) / max(1, len(np.unique(on)))
+    return f"{shared:.1f} detections in every filled cell" if shared > _MOST_IN_A_CELL else ""
 
 
 def _layout_result(fit: LayoutFit, found: GridFit, usable: Usable, camera: Camera, config: Config) -> GridFit:

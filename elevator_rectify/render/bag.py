@@ -17,7 +17,8 @@ from elevator_rectify.progress import progress
 from elevator_rectify.render.panel import Panel, paper_panels
 from elevator_rectify.render.photograph import photograph
 from elevator_rectify.render.scene import DetectorModel, Scene, Viewpoint, make_scene, paper_camera
-from elevator_rectify.ros.output import camera_info_message, quaternion
+from elevator_rectify.ros.output import camera_info_message
+from elevator_rectify.ros.poses import quaternion
 
 DETECTOR = DetectorModel(sigma_px=1.0, missed=0.04, false=0.04)
 MAX_TILT_RAD = np.deg2rad(50.0)

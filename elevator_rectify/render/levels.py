@@ -29,6 +29,14 @@ class Level:
     half_row: float = 0.0
     absent: float = 0.0
     gap: float = 0.0
+    column_gap: float = 0.0
+    absent_share: float = 0.125
+    # The noise is drawn between sigma_px over this and sigma_px.
+    sigma_spread: float = 1.0
+    # Any size between two and ten rows, two and six columns, instead of SIZES.
+    any_size: bool = False
+    # Standard deviation of ln(row pitch / column pitch).
+    log_aspect_std: float = 0.2
 
 
 LEVELS = {
@@ -37,26 +45,33 @@ LEVELS = {
     "hard": Level(60, 20, 2.0, 0.35, 0.2, 0.05, 0.4, 0.4),
     "extreme": Level(60, 20, 3.0, 0.4, 0.3, 0.1, 0.4, 0.4),
     "gaps": Level(45, 10, 1.5, 0.2, 0.1, 0.0, 0.0, 0.3, gap=1.0),
+    # As panels really hang, and as good detectors see them; for calibration.
+    "wild": Level(45, 10, 2.5, 0.3, 0.5, 0.05, 0.3, 0.5, 0.4, 0.15, 0.35, 10.0, True, 0.35),
 }
 
 
 def random_panel(level: Level, rng: np.random.Generator) -> Panel:
     """Draw a panel: size, pitch ratio, absent cells, half-pitch last row, a block beyond a gap of no whole pitch."""
     rows, columns = SIZES[rng.integers(len(SIZES))]
-    row_pitch = PITCH_M * float(np.exp(rng.normal(0.0, 0.2)))
+    if level.any_size:
+        rows, columns = int(rng.integers(2, 11)), int(rng.integers(2, 7))
+    row_pitch = PITCH_M * float(np.exp(rng.normal(0.0, level.log_aspect_std)))
     half, absent = rng.random() < level.half_row, rng.random() < level.absent
     gap = float(rng.uniform(0.25, 0.75)) if rng.random() < level.gap else 0.0
     gap_row = int(rng.integers(max(1, rows - 3), rows)) if gap else rows
+    aside = float(rng.uniform(0.25, 0.75)) if level.column_gap and rng.random() < level.column_gap else 0.0
+    gap_column = int(rng.integers(1, columns)) if aside else columns
     buttons: list[Button] = []
     for r in range(rows):
         last = half and r == rows - 1
         for c in range(columns - 1 if last else columns):
-            x, y = c + (0.5 if last else 0.0), r + (gap if r >= gap_row else 0.0)
-            buttons.append(
-                Button(x * PITCH_M, y * row_pitch, r, c, int(last) + 2 * int(r >= gap_row), str(len(buttons) + 1))
-            )
+            x = c + (0.5 if last else 0.0) + (aside if c >= gap_column else 0.0)
+            y = r + (gap if r >= gap_row else 0.0)
+            block = int(last) + 2 * int(r >= gap_row) + 4 * int(c >= gap_column)
+            buttons.append(Button(x * PITCH_M, y * row_pitch, r, c, block, str(len(buttons) + 1)))
     if absent:
-        gone = rng.choice(len(buttons), int(rng.integers(0, max(1, len(buttons) // 8) + 1)), replace=False)
+        most = max(1, int(len(buttons) * level.absent_share))
+        gone = rng.choice(len(buttons), int(rng.integers(0, most + 1)), replace=False)
         buttons = [b for k, b in enumerate(buttons) if k not in gone]
     return framed(tuple(buttons), (PITCH_M, row_pitch), Look())
 
@@ -83,7 +98,10 @@ def random_scene(level: Level, seed: int, trial: int, camera: Camera | None = No
     while True:
         panel, view = random_panel(level, rng), random_view(level, rng)
         missed, false = rng.uniform(0, level.missed), rng.uniform(0, level.false)
-        detector = DetectorModel(level.sigma_px * scale, missed, false, level.duplicates)
+        sigma_px = level.sigma_px
+        if level.sigma_spread > 1.0:
+            sigma_px *= float(np.exp(-rng.uniform(0.0, np.log(level.sigma_spread))))
+        detector = DetectorModel(sigma_px * scale, missed, false, level.duplicates)
         scene = make_scene(panel, camera, view, detector, rng)
         if (scene.button >= 0).sum() >= _MIN_TRUE and closest(scene.pixels) >= _MIN_DISTANCE_PX * scale:
             return scene

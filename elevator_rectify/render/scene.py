@@ -46,6 +46,7 @@ class Scene:
     pixels: Array
     detections: tuple[Detection, ...]
     button: IntArray
+    detector: DetectorModel = DetectorModel()
 
     @property
     def centres_px(self) -> Array:
@@ -109,7 +110,7 @@ def make_scene(
         )
         for n in order
     )
-    return Scene(panel, camera, R, t, pixels, detections, button[order])
+    return Scene(panel, camera, R, t, pixels, detections, button[order], detector)
 
 
 def _false_centres(pixels: Array, number: int, camera: Camera, rng: np.random.Generator) -> Array:

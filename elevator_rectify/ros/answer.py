@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,14 @@ from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.draw import draw_overlay
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import Array, GridFit, Image, Rectification
+from elevator_rectify.core.scale import with_scale
+from elevator_rectify.core.track import Track, smoothed
+from elevator_rectify.core.types import Array, Detection, GridFit, Image, Rectification
 from elevator_rectify.core.warp import rectify_image
-from elevator_rectify.ros.convert import BadMessage, camera_from_message, detections_from_message, image_from_message
+from elevator_rectify.ros.config import DEFAULT_NODE, NodeConfig
+from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
 from elevator_rectify.ros.pairing import Frame
+from elevator_rectify.ros.pictures import BadMessage, check_image, depth_from_message, image_from_message
 
 
 @dataclass
@@ -35,52 +39,96 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Answer:
-    """What is published for one frame; `header` is the image's."""
+    """What is published for one frame; `header` is the image's, `scale` says where the metric scale is from."""
 
     header: Any
     fit: GridFit
-    detections: int = 0
+    detections: tuple[Detection, ...] = ()
     camera: Camera | None = None
     view: Rectification | None = None
     overlay: Image | None = None
+    scale: str = "unknown"
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
 
 
-def answer_frame(frame: Frame, config: Config, wanted: Collection[str] = ("rectified", "overlay")) -> Answer:
-    """Convert, fit, draw. A frame with a bad message gets the status 'bad_input' and the reason; nothing is raised.
+@dataclass(frozen=True)
+class Inputs:
+    """A frame's messages as values; image is None where no picture is wanted, depth a text where it is unusable."""
 
-    wanted: which pictures to make, of 'rectified' and 'overlay'.
+    image: Image | None
+    camera: Camera
+    detections: list[Detection]
+    depth: Array | str | None
+
+
+def answer_frame(
+    frame: Frame,
+    config: Config,
+    wanted: Collection[str] = ("rectified", "overlay"),
+    node: NodeConfig = DEFAULT_NODE,
+    track: Track | None = None,
+) -> tuple[Answer, Track | None]:
+    """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
+
+    wanted: which pictures to make, of 'rectified' and 'overlay'; without any, the image is checked but not converted.
+    track: of the frames before, where `node.track` is on; the new one is returned.
     """
     watch = Stopwatch()
     try:
-        image = image_from_message(frame.image)
-        camera = _matching_camera(frame, image)
-        detections = detections_from_message(frame.detections)
+        given = inputs(frame, node, bool(wanted))
     except BadMessage as error:
-        return Answer(
-            frame.image.header, GridFit(status="bad_input", reason=str(error), method=config.method), stopwatch=watch
-        )
+        bad = GridFit(status="bad_input", reason=str(error), method=config.method)
+        return Answer(frame.image.header, bad, stopwatch=watch), track
     watch.lap("convert")
-    fit = fit_panel(detections, camera, config)
+    fit, scale = _fit(given, config, track)
+    if node.track:
+        track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
     watch.lap("fit")
-    view = rectify_image(image, camera, fit, config.view) if fit.ok and "rectified" in wanted else None
+    view = overlay = None
+    if given.image is not None and fit.ok and "rectified" in wanted:
+        view = rectify_image(given.image, given.camera, fit, config.view)
     watch.lap("warp")
-    centres = np.array([[d.x_px, d.y_px] for d in detections]).reshape(-1, 2)
-    overlay = draw_overlay(image, _finite(centres), fit) if "overlay" in wanted else None
+    if given.image is not None and "overlay" in wanted:
+        overlay = draw_overlay(given.image, _finite_centres(given.detections), fit)
     watch.lap("overlay")
-    return Answer(frame.image.header, fit, len(detections), camera, view, overlay, watch)
+    answer = Answer(frame.image.header, fit, tuple(given.detections), given.camera, view, overlay, scale, watch)
+    return answer, track
 
 
-def _matching_camera(frame: Frame, image: Image) -> Camera:
-    """Return the frame's camera, which must be of the image's size."""
-    camera = camera_from_message(frame.camera_info)
-    if (camera.height, camera.width) != image.shape[:2]:
-        size = f"{camera.width} x {camera.height}"
-        raise BadMessage(
-            "camera_info", "width x height", size, f"is not the image's {image.shape[1]} x {image.shape[0]}"
-        )
-    return camera
+def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
+    """Return the frame's messages as values. Raises BadMessage where they cannot be used together."""
+    image = image_from_message(frame.image) if with_picture else None
+    size = check_image(frame.image) if image is None else (int(image.shape[0]), int(image.shape[1]))
+    camera = camera_from_message(frame.camera_info, rectified=node.image_is_rectified)
+    ours, theirs = str(frame.image.header.frame_id), str(frame.camera_info.header.frame_id)
+    if ours != theirs:
+        raise BadMessage("camera_info", "header.frame_id", repr(theirs), f"is not the image's {ours!r}")
+    if size is not None and size != (camera.height, camera.width):
+        text = f"{camera.width} x {camera.height}"
+        raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")
+    detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
+    return Inputs(image, camera, detections, _depth(frame.depth))
 
 
-def _finite(points: Array) -> Array:
+def _depth(message: Any) -> Array | str | None:
+    """Return the depth in metres, or what is wrong with it: the orientation can be had without."""
+    try:
+        return None if message is None else depth_from_message(message)
+    except BadMessage as error:
+        return str(error)
+
+
+def _fit(given: Inputs, config: Config, track: Track | None) -> tuple[GridFit, str]:
+    """Return the fit, and where its metric scale is from."""
+    previous = track.fit if track is not None else None
+    if given.depth is None or isinstance(given.depth, str):
+        fit = fit_panel(given.detections, given.camera, config, previous)
+        return fit, ("column pitch" if fit.metric else "unknown") + (f": {given.depth}" if given.depth else "")
+    in_pitches = replace(config, scale=replace(config.scale, column_pitch_m=0.0))
+    fit = fit_panel(given.detections, given.camera, in_pitches, previous)
+    return with_scale(fit, given.camera, given.depth, config.scale) if fit.ok else (fit, "unknown")
+
+
+def _finite_centres(detections: list[Detection]) -> Array:
+    points = np.array([[d.x_px, d.y_px] for d in detections]).reshape(-1, 2)
     return points[np.isfinite(points).all(axis=1)]

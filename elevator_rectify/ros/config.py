@@ -6,14 +6,37 @@ from dataclasses import dataclass, field
 
 from elevator_rectify.core.config import Checked, value
 
+DETECTION_TYPES = {
+    "pose_array": "geometry_msgs/msg/PoseArray",
+    "vision_msgs": "vision_msgs/msg/Detection2DArray",
+    "yolo_msgs": "yolo_msgs/msg/DetectionArray",
+}
+
+
+@dataclass(frozen=True)
+class DetectionsConfig(Checked):
+    """How the detections are to be read."""
+
+    type: str = value(
+        "auto", "type of the detections; auto: the one that is published", choices=("auto", *DETECTION_TYPES)
+    )
+    labels: str = value("", "labels of class ids, such as '0=B, 1=1, 2=open'")
+    numbers_are_labels: bool = value(False, "a class id that is a bare number is the button's label, no index")
+    image_width_px: int = value(0, "width of the image that boxes refer to; 0: the image's own", low=0, high=100000)
+    image_height_px: int = value(0, "height of the image that boxes refer to; 0: the image's own", low=0, high=100000)
+
 
 @dataclass(frozen=True)
 class PairingConfig(Checked):
-    """Bounds of the buffers."""
+    """Bounds of the buffers, and what belongs together."""
 
     max_images: int = value(60, "images that wait for their detections", low=1, high=10000)
     max_megabytes: int = value(256, "memory that waiting images may take", low=1, high=65536)
     max_detections: int = value(60, "detection messages that wait for their image", low=1, high=10000)
+    tolerance_s: float = value(
+        0.0, "largest difference of the stamps of detections and image; 0: equal", low=0.0, high=1.0
+    )
+    jump_s: float = value(1.0, "an image older than the last by more clears the buffers", low=0.01, high=1000.0)
 
 
 @dataclass(frozen=True)
@@ -21,4 +44,14 @@ class NodeConfig(Checked):
     """What concerns the node only; read when it starts."""
 
     image_transport: str = value("raw", "how images arrive", choices=("raw", "compressed"))
+    image_is_rectified: bool = value(False, "the image is rectified: camera_info's P is used instead of K and D")
+    use_depth: bool = value(False, "subscribe to an aligned depth image for the metric scale")
+    publish_tf: bool = value(False, "publish the panel's pose on /tf (needs tf2_msgs)")
+    panel_frame: str = value("elevator_panel", "name of the panel's frame on /tf")
+    track: bool = value(True, "start from the fit of the frame before, and smooth by the covariances")
+    max_waiting: int = value(8, "frames that may wait; beyond, the oldest is skipped", low=1, high=100)
+    detections: DetectionsConfig = field(default_factory=DetectionsConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
+
+
+DEFAULT_NODE = NodeConfig()

@@ -1,28 +1,19 @@
-"""Messages to values. Works on rclpy messages and on rosbags' alike: their attribute names are the same."""
+"""Camera and detection messages to values. Works on rclpy messages and on rosbags' alike."""
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
-import cv2
 import numpy as np
 
 from elevator_rectify.core.camera import Camera
-from elevator_rectify.core.types import Detection, Image
+from elevator_rectify.core.types import Detection
+from elevator_rectify.ros.config import DEFAULT_NODE, DetectionsConfig
+from elevator_rectify.ros.pictures import BadMessage
 
-# Encoding: channels, and the conversion to the BGR (or grey) that the core draws and warps.
-ENCODINGS: dict[str, tuple[int, int | None]] = {
-    "bgr8": (3, None),
-    "rgb8": (3, cv2.COLOR_RGB2BGR),
-    "mono8": (1, None),
-}
-
-
-class BadMessage(ValueError):
-    """A message that cannot be used; its text names topic, field and value."""
-
-    def __init__(self, topic: str, field: str, value: object, meaning: str) -> None:
-        super().__init__(f"{topic}: {field} = {value!s:.120} {meaning}")
+_LONGEST_LABEL = 32
+_NUMBER = re.compile(r"[+-]?\d+")
 
 
 def stamp_ns(header: Any) -> int:
@@ -30,61 +21,95 @@ def stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def image_from_message(message: Any, topic: str = "image") -> Image:
-    """Return the picture of a sensor_msgs/Image (or CompressedImage): (height, width, 3) BGR or (height, width) grey.
+def camera_from_message(message: Any, topic: str = "camera_info", rectified: bool = False) -> Camera:
+    """Return the camera of the image that belongs to a sensor_msgs/CameraInfo. Raises BadMessage.
 
-    bgr8 and mono8 are views of the message's data. Raises BadMessage.
+    K, P, width and height are of the full sensor; the image is its region of interest (all of it where the region is
+    0 x 0), binned (REP-104). rectified: the image is undistorted already and P is its camera.
     """
-    if hasattr(message, "format"):
-        return _decompressed(message, topic)
-    if message.encoding not in ENCODINGS:
-        raise BadMessage(topic, "encoding", message.encoding, f"is not one of {', '.join(ENCODINGS)}")
-    channels, conversion = ENCODINGS[message.encoding]
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    if height <= 0 or width <= 0:
-        raise BadMessage(topic, "width x height", f"{width} x {height}", "is an empty image")
-    if step < width * channels:
-        raise BadMessage(topic, "step", step, f"is shorter than a row of {width} x {channels} bytes")
-    data = np.frombuffer(message.data, np.uint8)
-    if data.size < step * height:
-        raise BadMessage(topic, "data", f"{data.size} bytes", f"is shorter than step x height = {step * height}")
-    rows = data[: step * height].reshape(height, step)[:, : width * channels]
-    picture = rows.reshape(height, width, channels) if channels > 1 else rows
-    return picture if conversion is None else cv2.cvtColor(picture, conversion)
-
-
-def _decompressed(message: Any, topic: str) -> Image:
-    """Decode a CompressedImage."""
-    data = np.frombuffer(message.data, np.uint8)
+    matrix = np.array(message.p, dtype=float).reshape(3, 4)[:, :3] if rectified else np.array(message.k, dtype=float)
+    distortion = np.zeros(0) if rectified else np.array(message.d)
     try:
-        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:
-        picture = None
-    if picture is None:
-        raise BadMessage(topic, "data", f"{data.size} bytes of {message.format!r}", "is no picture that OpenCV decodes")
-    if picture.dtype != np.uint8:
-        picture = (picture >> 8).astype(np.uint8)
-    return picture[:, :, :3] if picture.ndim == 3 else picture
-
-
-def camera_from_message(message: Any, topic: str = "camera_info") -> Camera:
-    """Return the camera of a sensor_msgs/CameraInfo. Raises BadMessage."""
-    roi = message.roi
-    if message.binning_x > 1 or message.binning_y > 1 or roi.x_offset or roi.y_offset:
-        raise BadMessage(
-            topic,
-            "binning, roi",
-            (message.binning_x, message.binning_y, roi.x_offset, roi.y_offset),
-            "is not supported",
-        )
-    try:
-        return Camera.from_matrix(
-            np.array(message.k), int(message.width), int(message.height), np.array(message.d), message.distortion_model
-        )
+        full = Camera.from_matrix(matrix, int(message.width), int(message.height), distortion, message.distortion_model)
     except ValueError as error:
-        raise BadMessage(topic, "k", np.array(message.k).tolist(), f"cannot be used: {error}") from error
+        raise BadMessage(
+            topic, "p" if rectified else "k", matrix.ravel().tolist(), f"cannot be used: {error}"
+        ) from error
+    roi, binning = message.roi, np.maximum([message.binning_x, message.binning_y], 1)
+    size = np.array([roi.width or full.width, roi.height or full.height])
+    offset = np.array([roi.x_offset, roi.y_offset], dtype=float)
+    if (offset + size > [full.width, full.height]).any() or (size < binning).any():
+        region = (roi.x_offset, roi.y_offset, roi.width, roi.height)
+        raise BadMessage(topic, "roi", region, f"is not inside {full.width} x {full.height} pixels")
+    K = full.matrix.copy()
+    K[:2, 2] -= offset
+    K[:2] /= binning[:, None]
+    width, height = (int(s) for s in size // binning)
+    return Camera(K, width, height, full.distortion, full.model)
 
 
-def detections_from_message(message: Any, topic: str = "detections") -> list[Detection]:
-    """Return the detections of a geometry_msgs/PoseArray: position x, y is a box's centre in pixels."""
-    return [Detection(float(pose.position.x), float(pose.position.y)) for pose in message.poses]
+def detections_from_message(
+    message: Any,
+    config: DetectionsConfig = DEFAULT_NODE.detections,
+    size: tuple[int, int] | None = None,
+    topic: str = "detections",
+) -> list[Detection]:
+    """Return the detections of a PoseArray, a vision_msgs/Detection2DArray or a yolo_msgs/DetectionArray.
+
+    PoseArray: position x, y is a box's centre in pixels. size: width and height of the image, to which boxes of a
+    resized image (by the configuration) are scaled. Raises BadMessage.
+    """
+    if hasattr(message, "poses"):
+        found = [Detection(float(pose.position.x), float(pose.position.y)) for pose in message.poses]
+    elif hasattr(message, "detections"):
+        labels = class_labels(config.labels)
+        found = [_detection(item, labels, config.numbers_are_labels) for item in message.detections]
+    else:
+        raise BadMessage(topic, "type", type(message).__name__, "is no type of detections")
+    x = size[0] / config.image_width_px if size and config.image_width_px else 1.0
+    y = size[1] / config.image_height_px if size and config.image_height_px else 1.0
+    if x == 1.0 and y == 1.0:
+        return found
+    return [Detection(d.x_px * x, d.y_px * y, d.width_px * x, d.height_px * y, d.label, d.score) for d in found]
+
+
+def class_labels(text: str) -> dict[str, str]:
+    """Return {class id: label} of a text such as '0=B, 1=1'; ValueError where it is none."""
+    labels = {}
+    for pair in filter(None, (part.strip() for part in text.split(","))):
+        number, separator, label = pair.partition("=")
+        if not separator or not number.strip():
+            raise ValueError(f"detections.labels: '{pair:.40}' is not of the form id=label")
+        labels[number.strip()] = label.strip()
+    return labels
+
+
+def _detection(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> Detection:
+    """Return one vision_msgs or yolo_msgs detection."""
+    box = item.bbox
+    width, height = (box.size.x, box.size.y) if hasattr(box, "size") else (box.size_x, box.size_y)
+    theta = float(getattr(box.center, "theta", 0.0))
+    cosine, sine = abs(np.cos(theta)), abs(np.sin(theta))
+    if hasattr(item, "results"):
+        best = max((r.hypothesis for r in item.results), key=lambda h: np.nan_to_num(h.score, nan=-1.0), default=None)
+        name, number, score = ("", "", 1.0) if best is None else (best.class_id, best.class_id, float(best.score))
+    else:
+        name, number, score = item.class_name, str(item.class_id), float(item.score)
+    return Detection(
+        float(box.center.position.x),
+        float(box.center.position.y),
+        float(width * cosine + height * sine),
+        float(width * sine + height * cosine),
+        _label(str(name), str(number), labels, numbers_are_labels),
+        score,
+    )
+
+
+def _label(name: str, number: str, labels: dict[str, str], numbers_are_labels: bool) -> str:
+    """Return the button's label: mapped, or the class's name; a bare index is none."""
+    for key in (number, name):
+        if key in labels:
+            return labels[key]
+    if name == number and _NUMBER.fullmatch(name) and not numbers_are_labels:
+        return ""
+    return "".join(c for c in name if c.isprintable()).strip()[:_LONGEST_LABEL]

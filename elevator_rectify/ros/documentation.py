@@ -48,6 +48,8 @@ def _limits(item: Any) -> str:
 def _literal(content: Any) -> str:
     if isinstance(content, bool):
         return str(content).lower()
+    if content == "":
+        return "''"
     # YAML 1.1 takes 1e-06 for text: a float needs its point.
     return f"{content:.1e}" if isinstance(content, float) and 0 < abs(content) < 1e-4 else str(content)
 

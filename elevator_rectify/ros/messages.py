@@ -22,6 +22,15 @@ def ros_type(name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), kind)
 
 
+def installed(name: str) -> bool:
+    """Tell whether the message package of a type name is installed here."""
+    try:
+        ros_type(name)
+    except ImportError:
+        return False
+    return True
+
+
 def make_ros(name: str, /, **fields: Any) -> Any:
     """Make an rclpy message.
 

@@ -2,42 +2,38 @@
 
 from __future__ import annotations
 
-import queue
 import signal
 import sys
 import threading
-from collections import Counter
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
 import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 
+from elevator_rectify.core.track import Track
 from elevator_rectify.core.types import GridFit
 from elevator_rectify.ros.answer import Answer, answer_frame
-from elevator_rectify.ros.messages import make_ros, ros_type
-from elevator_rectify.ros.output import PICTURES, TOPICS, output_messages
+from elevator_rectify.ros.convert import class_labels, stamp_ns
+from elevator_rectify.ros.messages import installed, make_ros, ros_type
+from elevator_rectify.ros.output import BUTTONS, PICTURES, TOPICS, diagnostics_message, output_messages, tf_message
 from elevator_rectify.ros.pairing import Frame, Pairing
 from elevator_rectify.ros.parameters import changed, declare
+from elevator_rectify.ros.poses import ros_header
+from elevator_rectify.ros.statistics import Statistics
+from elevator_rectify.ros.subscribe import DetectionsSubscriber, described, output_qos, overridable, subscribe
+from elevator_rectify.ros.waiting import Waiting
 
-# Frames that may wait while one is computed; beyond, the oldest gives way.
-QUEUE_LENGTH = 8
-_INPUT_DEPTH = 30
 _SIGNAL_SECONDS = 0.1
-
-
-def sensor_qos() -> QoSProfile:
-    """Return a fresh SensorData-like profile: rclpy's global one is changed by QoS overrides."""
-    return QoSProfile(depth=_INPUT_DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
-def output_qos() -> QoSProfile:
-    """Return the profile of the outputs: reliable, depth 1."""
-    return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+_DIAGNOSTICS_SECONDS = 1.0
+_TF_DEPTH = 100
+_TF = "tf2_msgs/msg/TFMessage"
 
 
 class ElevatorRectify(Node):
@@ -46,92 +42,128 @@ class ElevatorRectify(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("elevator_rectify", **options)
         self.node_config, self.config = declare(self)
+        class_labels(self.node_config.detections.labels)
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._pairing = Pairing(self.node_config.pairing)
-        self.refused: Counter[str] = Counter()
-        self._frames: queue.Queue[Frame | None] = queue.Queue(QUEUE_LENGTH)
-        self._outputs = {
-            topic: self.create_publisher(
-                ros_type(kind),
-                f"~/{topic}",
-                output_qos(),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
-            for topic, kind in TOPICS.items()
-        }
-        compressed = self.node_config.image_transport == "compressed"
-        image = (
-            ("sensor_msgs/msg/CompressedImage", "image/compressed")
-            if compressed
-            else ("sensor_msgs/msg/Image", "image")
-        )
-        self._subscribe(*image, self._pairing.add_image)
-        self._subscribe("sensor_msgs/msg/CameraInfo", "camera_info", self._pairing.add_camera_info)
-        self._subscribe("geometry_msgs/msg/PoseArray", "detections", self._pairing.add_detections)
+        self.pairing = Pairing(self.node_config.pairing)
+        self.statistics = Statistics()
+        self._track: tuple[int, Track | None] = (0, None)
+        self._waiting = Waiting(self.node_config.max_waiting)
+        self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
+        self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
+        self._tf = self._tf_publisher() if self.node_config.publish_tf else None
+        self._subscribe_all()
         self._worker = threading.Thread(target=self._work, name="worker", daemon=True)
         self._worker.start()
 
-    def _subscribe(self, kind: str, topic: str, add: Any) -> None:
-        self.create_subscription(
+    @staticmethod
+    def _topics() -> dict[str, str]:
+        return {**TOPICS, **({BUTTONS[0]: BUTTONS[1]} if installed(BUTTONS[1]) else {})}
+
+    def _publisher(self, kind: str, topic: str, qos: QoSProfile | None = None) -> Any:
+        """Create a publisher; a subscriber whose QoS does not match is logged."""
+
+        def incompatible(event: Any) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            listeners = self.get_subscriptions_info_by_topic(publisher.topic_name)
+            theirs = [described(info.qos_profile) for info in listeners]
+            self.get_logger().error(
+                f"{publisher.topic_name}: a subscriber asks for another {policy}. Ours: "
+                f"{described(publisher.qos_profile)}; theirs: {'; '.join(theirs) or 'unknown'}"
+            )
+
+        publisher: Any = self.create_publisher(
             ros_type(kind),
             topic,
-            lambda message: self._enqueue(add(message)),
-            sensor_qos(),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            qos or output_qos(),
+            event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible),
+            qos_overriding_options=overridable(),
         )
+        return publisher
+
+    def _tf_publisher(self) -> Any:
+        if not installed(_TF):
+            raise ValueError("publish_tf: the package tf2_msgs is not installed: sudo apt install ros-jazzy-tf2-msgs")
+        return self._publisher(_TF, "/tf", QoSProfile(depth=_TF_DEPTH))
+
+    def _subscribe_all(self) -> None:
+        image = ("sensor_msgs/msg/Image", "image")
+        if self.node_config.image_transport == "compressed":
+            image = ("sensor_msgs/msg/CompressedImage", "image/compressed")
+        streams = [(*image, self.pairing.add_image)]
+        streams.append(("sensor_msgs/msg/CameraInfo", "camera_info", self.pairing.add_camera_info))
+        if self.node_config.use_depth:
+            streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
+        for kind, topic, add in streams:
+            subscribe(self, kind, topic, self._feeding(add))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._detections = DetectionsSubscriber(
+            self,
+            self.node_config.detections.type,
+            self._feeding(self.pairing.add_detections),
+            steady,
+        )
+        self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=steady)
+
+    def _feeding(self, add: Callable[[Any], list[Frame]]) -> Callable[[Any], None]:
+        """Return the callback that adds a message to the pairing and enqueues what became complete."""
+        return lambda message: self._enqueue(add(message))
 
     def _enqueue(self, frames: list[Frame]) -> None:
         """Hand complete frames to the worker; when it is behind, the oldest waiting frame gives way."""
         for frame in frames:
-            while True:
-                try:
-                    self._frames.put_nowait(frame)
-                    break
-                except queue.Full:
-                    self._give_way()
-
-    def _give_way(self) -> None:
-        try:
-            late = self._frames.get_nowait()
-        except queue.Empty:
-            return
-        if late is not None:
-            reason = "frames come faster than they are computed"
-            answer = Answer(late.image.header, GridFit(status="skipped", reason=reason, method=self.config.method))
-            self._publish(answer)
+            for late in self._waiting.put(frame):
+                reason = "frames come faster than they are computed"
+                skipped = GridFit(status="skipped", reason=reason, method=self.config.method)
+                self._publish(Answer(late.image.header, skipped))
 
     def _work(self) -> None:
-        """Answer frames until None comes."""
-        while (frame := self._frames.get()) is not None and self.context.ok():
+        """Answer frames until the queue is closed."""
+        while (frame := self._waiting.get()) is not None and self.context.ok():
             try:
                 self._answer(frame)
             except Exception as error:
                 # After shutdown the publishers are gone; anything else is a defect that must not stop the node.
                 if self.context.ok():
-                    self.refused["internal error"] += 1
+                    self.statistics.add("internal error", repr(error), 0.0, -1.0)
                     self.get_logger().error(f"internal error, frame skipped: {error!r}")
 
     def _answer(self, frame: Frame) -> None:
         """Convert, compute, publish."""
         wanted = [picture for picture, topics in PICTURES.items() if any(self._listened(topic) for topic in topics)]
-        self._publish(answer_frame(frame, self.config, wanted))
+        jumps, track = self._track
+        if jumps != self.pairing.jumps:
+            jumps, track = self.pairing.jumps, None
+        answer, track = answer_frame(frame, self.config, wanted, self.node_config, track)
+        self._track = jumps, track
+        self._publish(answer)
 
     def _publish(self, answer: Answer) -> None:
         """Publish what somebody listens to; the status comes last and includes the time of the others."""
         self._log(answer)
-        for topic, message in output_messages(answer, make_ros):
-            if self._listened(topic):
-                self._outputs[topic].publish(message)
+        for topic, message in output_messages(answer, make_ros, self._listened):
+            self._outputs[topic].publish(message)
             answer.stopwatch.lap("publish")
+        if self._tf is not None and answer.fit.ok and answer.fit.metric:
+            frame, header = self.node_config.panel_frame, ros_header(answer.header, make_ros)
+            self._tf.publish(tf_message(answer.fit, frame, header, make_ros))
 
     def _listened(self, topic: str) -> bool:
-        return bool(self._outputs[topic].get_subscription_count())
+        return topic in self._outputs and bool(self._outputs[topic].get_subscription_count())
 
     def _log(self, answer: Answer) -> None:
-        """Count a refused frame and say why, at most every five seconds."""
-        if not answer.fit.ok:
-            self.refused[answer.fit.status] += 1
-            self.get_logger().warning(f"{answer.fit.status}: {answer.fit.reason}", throttle_duration_sec=5.0)
+        """Count the frame; of a refused one say why, at most every five seconds."""
+        fit = answer.fit
+        age_ms = 1e-6 * (self.get_clock().now().nanoseconds - stamp_ns(answer.header))
+        self.statistics.add(fit.status, fit.reason, sum(answer.stopwatch.milliseconds.values()), age_ms)
+        if not fit.ok:
+            self.get_logger().warning(f"{fit.status}: {fit.reason}", throttle_duration_sec=5.0)
+
+    def _diagnose(self) -> None:
+        """Publish the counts, once a second."""
+        values = self.statistics.values(self.pairing, _DIAGNOSTICS_SECONDS)
+        values["detections type"] = self._detections.type or "none published"
+        now = self.get_clock().now().to_msg()
+        self._diagnostics.publish(diagnostics_message(self.get_fully_qualified_name(), values, now, make_ros))
 
     def _on_parameters(self, parameters: list[Parameter]) -> Any:
         self.config, result = changed(self.config, parameters)
@@ -139,15 +171,11 @@ class ElevatorRectify(Node):
 
     def close(self) -> None:
         """Stop the worker, say what was refused, leave the graph."""
-        while True:
-            try:
-                self._frames.put_nowait(None)
-                break
-            except queue.Full:
-                self._give_way()
+        self._waiting.close()
         self._worker.join(timeout=0.5)
         if self.context.ok():
-            self.get_logger().info(f"refused: {dict(self.refused)}, dropped: {dict(self._pairing.dropped)}")
+            verdicts, dropped = dict(self.statistics.verdicts), dict(self.pairing.dropped)
+            self.get_logger().info(f"answered or refused: {verdicts}, dropped: {dropped}")
         self.destroy_node()
 
 
@@ -176,6 +204,8 @@ def main(args: list[str] | None = None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         node.close()
         executor.shutdown(timeout_sec=0.2)
         rclpy.try_shutdown()

@@ -2,50 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.types import Array, GridFit, Image
 from elevator_rectify.ros.answer import Answer
+from elevator_rectify.ros.buttons import buttons_message
+from elevator_rectify.ros.markers import marker_message
 from elevator_rectify.ros.messages import Make
+from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion, ros_header
 
+Messages = Iterator[tuple[str, Any]]
 # Topic below the node's name: message type.
 TOPICS = {
     "rectified/image": "sensor_msgs/msg/Image",
+    "rectified/image/compressed": "sensor_msgs/msg/CompressedImage",
     "rectified/camera_info": "sensor_msgs/msg/CameraInfo",
     "grid_centers": "geometry_msgs/msg/PoseArray",
     "panel_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "markers": "visualization_msgs/msg/MarkerArray",
     "overlay": "sensor_msgs/msg/Image",
     "status": "diagnostic_msgs/msg/DiagnosticStatus",
 }
+# Where vision_msgs is installed.
+BUTTONS = ("buttons", "vision_msgs/msg/Detection3DArray")
 # What the pictures of `answer_frame` serve.
-PICTURES = {"rectified": ("rectified/image", "rectified/camera_info"), "overlay": ("overlay",)}
+PICTURES = {
+    "rectified": ("rectified/image", "rectified/image/compressed", "rectified/camera_info"),
+    "overlay": ("overlay",),
+}
+_JPEG_QUALITY = 90
 
 
-def output_messages(answer: Answer, make: Make) -> Iterator[tuple[str, Any]]:
-    """Yield (topic below the node's name, message) for one answer; poses and view only where the fit is ok."""
+def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] = lambda _: True) -> Messages:
+    """Yield (topic below the node's name, message) for one answer; poses and view only where the fit is ok.
+
+    listened: tells whether somebody subscribes to a topic; for the others nothing is made.
+    """
     header = ros_header(answer.header, make)
-    if answer.view is not None:
-        yield "rectified/image", image_message(answer.view.image, header, make)
-        yield (
-            "rectified/camera_info",
-            camera_info_message(answer.view.camera, answer.view.R_rectified_camera, header, make),
+    fit, view = answer.fit, answer.view
+    makers: dict[str, Callable[[], Any]] = {}
+    if view is not None:
+        makers["rectified/image"] = lambda: image_message(view.image, header, make)
+        makers["rectified/image/compressed"] = lambda: compressed_message(view.image, header, make)
+        makers["rectified/camera_info"] = lambda: camera_info_message(
+            view.camera, view.R_rectified_camera, header, make
         )
-    if answer.fit.ok:
-        yield "grid_centers", grid_message(answer.fit, header, make)
-        yield "panel_pose", pose_message(answer.fit, header, make)
-    if answer.overlay is not None:
-        yield "overlay", image_message(answer.overlay, header, make)
-    yield "status", status_message(answer, make)
-
-
-def ros_header(header: Any, make: Make) -> Any:
-    """Return a std_msgs/Header of the same stamp and frame, in the types of `make`."""
-    stamp = make("builtin_interfaces/msg/Time", sec=int(header.stamp.sec), nanosec=int(header.stamp.nanosec))
-    return make("std_msgs/msg/Header", stamp=stamp, frame_id=str(header.frame_id))
+    if fit.ok:
+        makers["grid_centers"] = lambda: grid_message(fit, header, make)
+        makers["panel_pose"] = lambda: pose_message(fit, header, make)
+        makers["buttons"] = lambda: buttons_message(answer, header, make)
+    overlay = answer.overlay
+    if overlay is not None:
+        makers["overlay"] = lambda: image_message(overlay, header, make)
+    makers["markers"] = lambda: marker_message(answer, header, make)
+    makers["status"] = lambda: status_message(answer, make)
+    for topic, maker in makers.items():
+        if listened(topic):
+            yield topic, maker()
 
 
 def image_message(image: Image, header: Any, make: Make) -> Any:
@@ -61,6 +79,13 @@ def image_message(image: Image, header: Any, make: Make) -> Any:
         step=int(image.shape[1] * channels),
         data=image,
     )
+
+
+def compressed_message(image: Image, header: Any, make: Make) -> Any:
+    """Return a jpeg CompressedImage."""
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+    kind = "mono8; jpeg compressed mono8" if image.ndim == 2 else "bgr8; jpeg compressed bgr8"
+    return make("sensor_msgs/msg/CompressedImage", header=header, format=kind, data=data.ravel())
 
 
 def camera_info_message(camera: Camera, R_rectified_camera: Array, header: Any, make: Make) -> Any:
@@ -83,37 +108,31 @@ def camera_info_message(camera: Camera, R_rectified_camera: Array, header: Any, 
     )
 
 
-def quaternion(R: Array) -> tuple[float, float, float, float]:
-    """Return (x, y, z, w) of a rotation matrix, w >= 0."""
-    # The eigenvector of the largest eigenvalue (Bar-Itzhack 2000): well conditioned at every angle.
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    K = np.zeros((4, 4))
-    K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
-    K[:3, 3] = K[3, :3] = skew
-    K[3, 3] = np.trace(R)
-    q = np.linalg.eigh(K)[1][:, -1]
-    x, y, z, w = (float(v) for v in (q if q[3] >= 0 else -q))
-    return x, y, z, w
-
-
-def _pose(t: Array, q: tuple[float, float, float, float], make: Make) -> Any:
-    position = make("geometry_msgs/msg/Point", x=float(t[0]), y=float(t[1]), z=float(t[2]))
-    orientation = make("geometry_msgs/msg/Quaternion", x=q[0], y=q[1], z=q[2], w=q[3])
-    return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
-
-
 def grid_message(fit: GridFit, header: Any, make: Make) -> Any:
     """Return all cells row by row in the camera frame, each facing into the panel."""
     q = quaternion(fit.R_camera_panel)
-    poses = [_pose(point, q, make) for point in fit.grid_points.reshape(-1, 3)]
+    poses = [pose_of(point, q, make) for point in fit.grid_points.reshape(-1, 3)]
     return make("geometry_msgs/msg/PoseArray", header=header, poses=poses)
 
 
 def pose_message(fit: GridFit, header: Any, make: Make) -> Any:
-    """Return the panel's pose with its covariance."""
-    pose = _pose(fit.t_camera_panel, quaternion(fit.R_camera_panel), make)
-    with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=fit.covariance.ravel().copy())
+    """Return the panel's pose with its covariance; of unknown scale, the translation's is too large for any use."""
+    covariance = message_covariance(fit)
+    pose = pose_of(fit.t_camera_panel, quaternion(fit.R_camera_panel), make)
+    with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
     return make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=with_covariance)
+
+
+def tf_message(fit: GridFit, frame: str, header: Any, make: Make) -> Any:
+    """Return the transform from the camera's optical frame to the panel's, as a tf2_msgs/TFMessage."""
+    t, (x, y, z, w) = fit.t_camera_panel, quaternion(fit.R_camera_panel)
+    transform = make(
+        "geometry_msgs/msg/Transform",
+        translation=make("geometry_msgs/msg/Vector3", x=float(t[0]), y=float(t[1]), z=float(t[2])),
+        rotation=make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+    )
+    stamped = make("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=frame, transform=transform)
+    return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
 
 
 def status_message(answer: Answer, make: Make) -> Any:
@@ -126,7 +145,8 @@ def status_message(answer: Answer, make: Make) -> Any:
         "method": fit.method,
         "confidence": f"{fit.confidence:.4f}",
         "unit": "m" if fit.metric else "column pitch",
-        "detections": str(answer.detections),
+        "scale": answer.scale,
+        "detections": str(len(answer.detections)),
         "inliers": str(fit.inliers),
         "rows": str(fit.rows),
         "columns": str(fit.columns),
@@ -144,3 +164,15 @@ def status_message(answer: Answer, make: Make) -> Any:
         hardware_id=str(answer.header.frame_id),
         values=pairs,
     )
+
+
+def diagnostics_message(name: str, values: dict[str, str], now: Any, make: Make) -> Any:
+    """Return the DiagnosticArray of the node: a warning where nothing was accepted."""
+    share = values["share accepted"]
+    level, text = (b"\x00", "accepts frames") if share and float(share) > 0 else (b"\x01", "no frame accepted yet")
+    pairs = [make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
+    status = make(
+        "diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="", values=pairs
+    )
+    header = make("std_msgs/msg/Header", stamp=now, frame_id="")
+    return make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])

@@ -1,7 +1,8 @@
-"""Brings together the image, camera info and detections of one instant, within bounded buffers."""
+"""Brings together the image, camera info, detections and depth of one instant, within bounded buffers."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from typing import Any
@@ -9,34 +10,51 @@ from typing import Any
 from elevator_rectify.ros.config import PairingConfig
 from elevator_rectify.ros.convert import stamp_ns
 
+# So many images in a row that had a camera info of their own stamp: the next one will have one too.
+_SYNCHRONISED = 2
+# The stamp under which the last camera info is kept when the clock went back.
+_BEFORE_ALL = -1
+
 
 @dataclass(frozen=True)
 class Frame:
-    """The messages of one instant."""
+    """The messages of one instant; depth is None where there is none."""
 
     image: Any
     camera_info: Any
     detections: Any
+    depth: Any = None
 
 
 class Pairing:
     """Pairs by header.stamp. Every `add_*` returns the frames that became complete, and counts what it drops.
 
-    The camera info is the one of the image's stamp, else the newest; frames wait for the first one.
+    The camera info is the one of the image's stamp, else the newest; frames wait for the first one. Where every image
+    has had an info of its own, a frame waits for that, until a later one shows that it was lost. Every image that was
+    received is in a returned frame, in `dropped`, or still `waiting`.
     """
 
     def __init__(self, config: PairingConfig) -> None:
         self.config = config
         self.dropped: Counter[str] = Counter()
+        self.received: Counter[str] = Counter()
+        self.jumps = 0
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._detections: OrderedDict[int, Any] = OrderedDict()
         self._infos: OrderedDict[int, Any] = OrderedDict()
+        self._depths: OrderedDict[int, Any] = OrderedDict()
         self._bytes = 0
+        self._newest_ns: int | None = None
         self._done: OrderedDict[int, None] = OrderedDict()
+        self._own_infos_in_a_row = 0
 
     def add_image(self, message: Any) -> list[Frame]:
         """Buffer an image; the oldest ones give way when count or bytes exceed the bounds."""
         stamp = stamp_ns(message.header)
+        self.received["image"] += 1
+        if self._newest_ns is not None and stamp < self._newest_ns - 1e9 * self.config.jump_s:
+            self._clock_went_back(stamp)
+        self._newest_ns = stamp if self._newest_ns is None else max(self._newest_ns, stamp)
         if stamp in self._images or stamp in self._done:
             self.dropped["image with a repeated stamp"] += 1
             return []
@@ -49,15 +67,20 @@ class Pairing:
 
     def add_camera_info(self, message: Any) -> list[Frame]:
         """Keep a camera info."""
-        self._infos[stamp_ns(message.header)] = message
-        self._infos.move_to_end(stamp_ns(message.header))
-        while len(self._infos) > self.config.max_images:
-            self._infos.popitem(last=False)
+        self.received["camera_info"] += 1
+        _keep(self._infos, stamp_ns(message.header), message, self.config.max_images)
         return self._complete()
+
+    def add_depth(self, message: Any) -> list[Frame]:
+        """Keep a depth image for the frame of its stamp."""
+        self.received["depth"] += 1
+        _keep(self._depths, stamp_ns(message.header), message, self.config.max_images)
+        return []
 
     def add_detections(self, message: Any) -> list[Frame]:
         """Buffer a detection message."""
         stamp = stamp_ns(message.header)
+        self.received["detections"] += 1
         if stamp in self._detections or stamp in self._done:
             self.dropped["detections with a repeated stamp"] += 1
             return []
@@ -67,19 +90,58 @@ class Pairing:
             self.dropped["detections without image"] += 1
         return self._complete()
 
+    def _clock_went_back(self, now: int) -> None:
+        """Empty the buffers; what is of the new time already, ahead of its image, stays, and so does the last info."""
+        jump_ns = 1e9 * self.config.jump_s
+        kept = {stamp: m for stamp, m in self._detections.items() if abs(stamp - now) < jump_ns}
+        self.jumps += 1
+        self.dropped["image: clock went back"] += len(self._images)
+        self.dropped["detections: clock went back"] += len(self._detections) - len(kept)
+        newest = next(reversed(self._infos.values()), None)
+        for buffer in (self._images, self._detections, self._infos, self._depths, self._done):
+            buffer.clear()
+        self._detections.update(kept)
+        if newest is not None:
+            stamp = stamp_ns(newest.header)
+            self._infos[stamp if abs(stamp - now) < jump_ns else _BEFORE_ALL] = newest
+        self._bytes, self._newest_ns = 0, None
+
     def _complete(self) -> list[Frame]:
         """Take out all frames that are complete now, oldest first."""
         if not self._infos:
             return []
-        frames = []
-        for stamp in sorted(self._images.keys() & self._detections.keys()):
-            info = self._infos.get(stamp, next(reversed(self._infos.values())))
-            frames.append(Frame(self._images[stamp], info, self._detections.pop(stamp)))
-            self._remove_image(stamp)
-            self._done[stamp] = None
-            if len(self._done) > 4 * self.config.max_images:
-                self._done.popitem(last=False)
-        return frames
+        pairs = [(stamp, stamp) for stamp in sorted(self._images.keys() & self._detections.keys())]
+        if self.config.tolerance_s > 0:
+            pairs = sorted(pairs + self._nearest_pairs(dict(pairs)))
+        return [self._take(image, detections) for image, detections in pairs if self._has_info(image)]
+
+    def _nearest_pairs(self, exact: dict[int, int]) -> list[tuple[int, int]]:
+        """Return (image, detections) stamps within the tolerance; the nearest is known once a later image is there."""
+        free = sorted(self._images.keys() - exact.keys())
+        pairs = []
+        for stamp in sorted(self._detections.keys() - exact.keys()):
+            if not free or self._newest_ns is None or self._newest_ns < stamp:
+                continue
+            place = bisect_left(free, stamp)
+            nearest = min(free[max(0, place - 1) : place + 1], key=lambda image: (abs(image - stamp), image))
+            if abs(nearest - stamp) <= 1e9 * self.config.tolerance_s:
+                pairs.append((nearest, stamp))
+                free.remove(nearest)
+        return pairs
+
+    def _has_info(self, image: int) -> bool:
+        """Tell whether the image's camera info is there, or none of its own is to be expected."""
+        if image in self._infos or self._own_infos_in_a_row < _SYNCHRONISED:
+            return True
+        return max(self._infos) > image
+
+    def _take(self, image: int, detections: int) -> Frame:
+        info = self._infos.get(image, next(reversed(self._infos.values())))
+        frame = Frame(self._images[image], info, self._detections.pop(detections), self._depths.pop(image, None))
+        self._own_infos_in_a_row = self._own_infos_in_a_row + 1 if image in self._infos else 0
+        self._remove_image(image)
+        _keep(self._done, image, None, 4 * self.config.max_images)
+        return frame
 
     def _remove_image(self, stamp: int) -> None:
         self._bytes -= len(self._images.pop(stamp).data)
@@ -92,3 +154,11 @@ class Pairing:
             f"detections waiting for {lacking}": len(self._detections),
         }
         return Counter({name: number for name, number in counts.items() if number})
+
+
+def _keep(buffer: OrderedDict[int, Any], stamp: int, content: Any, most: int) -> None:
+    """Add as the newest; the oldest give way beyond `most`."""
+    buffer[stamp] = content
+    buffer.move_to_end(stamp)
+    while len(buffer) > most:
+        buffer.popitem(last=False)

@@ -1,0 +1,1 @@
+"""The live node under load: latency beside a bare relay, a soak, and chaos."""

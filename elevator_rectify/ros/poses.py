@@ -1,0 +1,52 @@
+"""Poses and headers as messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from elevator_rectify.core.pose import covariance_at
+from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.ros.messages import Make
+
+# Variance of a translation whose scale is unknown: a kilometre of standard deviation. No filter and no arm uses it.
+UNKNOWN_SCALE_VARIANCE = 1e6
+
+
+def ros_header(header: Any, make: Make) -> Any:
+    """Return a std_msgs/Header of the same stamp and frame, in the types of `make`."""
+    stamp = make("builtin_interfaces/msg/Time", sec=int(header.stamp.sec), nanosec=int(header.stamp.nanosec))
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=str(header.frame_id))
+
+
+def quaternion(R: Array) -> tuple[float, float, float, float]:
+    """Return (x, y, z, w) of a rotation matrix, w >= 0."""
+    # The eigenvector of the largest eigenvalue (Bar-Itzhack 2000): well conditioned at every angle.
+    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    K = np.zeros((4, 4))
+    K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
+    K[:3, 3] = K[3, :3] = skew
+    K[3, 3] = np.trace(R)
+    q = np.linalg.eigh(K)[1][:, -1]
+    x, y, z, w = (float(v) for v in (q if q[3] >= 0 else -q))
+    return x, y, z, w
+
+
+def pose_of(t: Array, q: tuple[float, float, float, float], make: Make) -> Any:
+    """Return a geometry_msgs/Pose."""
+    position = make("geometry_msgs/msg/Point", x=float(t[0]), y=float(t[1]), z=float(t[2]))
+    orientation = make("geometry_msgs/msg/Quaternion", x=q[0], y=q[1], z=q[2], w=q[3])
+    return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
+
+
+def message_covariance(fit: GridFit, arm: Array | None = None) -> Array:
+    """Return the (6, 6) covariance to publish, at the panel's origin or `arm` (3,) away from it in the camera frame.
+
+    Where the scale is unknown, the translation is in pitches, and its variance too large for any use.
+    """
+    covariance = fit.covariance.copy() if arm is None else covariance_at(fit.covariance, arm)
+    if not fit.metric:
+        covariance[:3] = covariance[:, :3] = 0.0
+        covariance[:3, :3] = UNKNOWN_SCALE_VARIANCE * np.eye(3)
+    return covariance

@@ -1,0 +1,114 @@
+"""Subscriptions that say why nothing comes: QoS that does not match, types that are not known or not installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from elevator_rectify.ros.config import DETECTION_TYPES
+from elevator_rectify.ros.messages import ros_type
+from elevator_rectify.ros.serialized import read_image
+
+_INPUT_DEPTH = 30
+_LOOK_SECONDS = 0.5
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+
+
+def sensor_qos() -> QoSProfile:
+    """Return a fresh SensorData-like profile: rclpy's global one is changed by QoS overrides."""
+    return QoSProfile(depth=_INPUT_DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def output_qos() -> QoSProfile:
+    """Return the profile of the outputs: reliable, depth 1."""
+    return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def overridable() -> QoSOverridingOptions:
+    """Let the standard qos_overrides parameters change history, depth and reliability."""
+    return QoSOverridingOptions.with_default_policies()
+
+
+def described(qos: QoSProfile) -> str:
+    """Return the settings that two sides must agree on."""
+    return f"reliability {qos.reliability.name}, durability {qos.durability.name}"
+
+
+def subscribe(node: Node, kind: str, topic: str, add: Callable[[Any], None]) -> Any:
+    """Subscribe; a publisher whose QoS does not match is logged with both sides' settings."""
+
+    def incompatible(event: Any) -> None:
+        # The other node's name is often not known yet when the event comes.
+        theirs = [described(info.qos_profile) for info in node.get_publishers_info_by_topic(name)]
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        node.get_logger().error(
+            f"{topic}: nothing will come from a publisher whose {policy} does not match. Ours: "
+            f"{described(subscription.qos_profile)}; theirs: {'; '.join(theirs) or 'unknown'}. "
+            f"Set qos_overrides.{name}.subscription.* to match"
+        )
+
+    name = node.resolve_topic_name(topic)
+    serialised = kind in _IMAGES
+    subscription: Any = node.create_subscription(
+        ros_type(kind),
+        topic,
+        (lambda data: add(read_image(kind, data))) if serialised else add,
+        sensor_qos(),
+        raw=serialised,
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
+        qos_overriding_options=overridable(),
+    )
+    return subscription
+
+
+class DetectionsSubscriber:
+    """Subscribes the detections by the configured type, or ('auto') by the one that is published, now or later."""
+
+    def __init__(self, node: Node, kind: str, add: Callable[[Any], None], clock: Any) -> None:
+        self._node, self._add = node, add
+        self._topic = "detections"
+        self._name = node.resolve_topic_name(self._topic)
+        self._wanted = None if kind == "auto" else DETECTION_TYPES[kind]
+        self.type = ""
+        self._subscription: Any = None
+        self._said = ""
+        self._look()
+        self._timer = node.create_timer(_LOOK_SECONDS, self._look, clock=clock)
+
+    def _look(self) -> None:
+        """Subscribe to the published type; when a detector of another type takes over, follow it."""
+        published = [i.topic_type for i in self._node.get_publishers_info_by_topic(self._name)]
+        if self._wanted is not None:
+            self._subscribe(self._wanted)
+        elif self.type not in published:
+            known = [kind for kind in published if kind in DETECTION_TYPES.values()]
+            if known:
+                self._subscribe(known[0])
+            elif published:
+                self._say(f"{published[0]} is published, which is none of {', '.join(DETECTION_TYPES.values())}")
+
+    def _subscribe(self, kind: str) -> None:
+        if kind == self.type:
+            return
+        package = kind.split("/")[0]
+        try:
+            ros_type(kind)
+        except ImportError:
+            self._say(f"{kind} needs the package {package}: sudo apt install ros-jazzy-{package.replace('_', '-')}")
+            return
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self._subscription = subscribe(self._node, kind, self._topic, self._add)
+        self.type = kind
+        self._node.get_logger().info(f"{self._name}: {kind}")
+
+    def _say(self, text: str) -> None:
+        """Log a problem once."""
+        if text != self._said:
+            self._said = text
+            self._node.get_logger().error(f"{self._name}: {text}")

@@ -1,0 +1,95 @@
+"""One frame's messages through the core, as node and replay do it."""
+
+from __future__ import annotations
+
+import array
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from elevator_rectify.core import Config, fit_panel
+from elevator_rectify.ros.answer import Answer, answer_frame
+from elevator_rectify.ros.config import NodeConfig
+from elevator_rectify.ros.messages import make_ros
+from elevator_rectify.ros.output import output_messages
+from elevator_rectify.ros.pairing import Frame
+from test.messages import camera_info, detections, header, image
+from test.scenes import scene
+
+VIEW = scene(2, tilt_deg=20.0, sigma_px=0.5)
+ALONE = NodeConfig(track=False)
+
+
+def frame(stamp: int, **other: Any) -> Frame:
+    given = {"image": image(stamp), "camera_info": camera_info(stamp), "detections": detections(stamp, VIEW.centres_px)}
+    return Frame(**{**given, **other})
+
+
+def test_without_tracking_the_result_is_that_of_fit_panel_bit_for_bit() -> None:
+    _, track = answer_frame(frame(1), Config())
+    answer, _ = answer_frame(frame(2), Config(), node=ALONE)
+    expected = fit_panel(VIEW.centres_px, VIEW.camera, Config())
+    assert track is not None
+    for item in fields(expected):
+        np.testing.assert_array_equal(getattr(answer.fit, item.name), getattr(expected, item.name))
+
+
+def test_tracking_starts_from_the_last_fit_and_survives_a_refused_frame() -> None:
+    _, track = answer_frame(frame(1), Config())
+    refused, track = answer_frame(frame(2, detections=detections(2)), Config(), track=track)
+    assert not refused.fit.ok and track is not None
+    answer, after = answer_frame(frame(3), Config(), track=track)
+    assert answer.fit.ok and after is not None and after.stamp_ns == 3
+
+
+def test_nothing_is_made_for_topics_without_a_listener() -> None:
+    answer, _ = answer_frame(frame(1), Config(), wanted=())
+    assert answer.view is None and answer.overlay is None and "convert" in answer.stopwatch.milliseconds
+    made = [topic for topic, _ in output_messages(answer, make_ros, lambda topic: topic == "panel_pose")]
+    assert made == ["panel_pose"]
+
+
+@pytest.mark.parametrize("wanted", [(), ("rectified",)])
+def test_a_bad_image_is_refused_whether_its_picture_is_wanted_or_not(wanted: tuple[str, ...]) -> None:
+    broken = image(1)
+    broken.data = array.array("B", bytes(10))
+    answer, _ = answer_frame(frame(1, image=broken), Config(), wanted)
+    assert answer.fit.status == "bad_input" and "image: data = 10 bytes" in answer.fit.reason
+
+
+def test_image_and_camera_info_of_different_frames_are_refused() -> None:
+    other = camera_info(1)
+    other.header = header(1, "right_camera")
+    answer, _ = answer_frame(frame(1, camera_info=other), Config())
+    assert answer.fit.reason == "camera_info: header.frame_id = 'right_camera' is not the image's 'camera'"
+
+
+def depth(encoding: str, metres: float) -> Any:
+    data = np.full((480, 640), metres, "<f4").view(np.uint8).ravel()
+    fields_of = {"height": 480, "width": 640, "encoding": encoding, "is_bigendian": 0, "step": 2560}
+    return make_ros("sensor_msgs/msg/Image", header=header(1), data=data, **fields_of)
+
+
+def status(answer: Answer) -> dict[str, str]:
+    (message,) = [m for topic, m in output_messages(answer, make_ros) if topic == "status"]
+    return {pair.key: pair.value for pair in message.values}
+
+
+def test_a_depth_image_that_cannot_be_used_leaves_the_orientation() -> None:
+    frontal = scene(2, tilt_deg=0.0, sigma_px=0.5)
+    centres = detections(1, frontal.centres_px)
+    good, _ = answer_frame(frame(1, detections=centres, depth=depth("32FC1", 0.6)), Config())
+    assert status(good)["scale"] == "depth" and good.fit.t_camera_panel[2] == pytest.approx(0.6, rel=0.02)
+    bad, _ = answer_frame(frame(1, detections=centres, depth=depth("bgr8", 0.6)), Config())
+    assert bad.fit.ok and status(bad)["scale"].startswith("unknown: depth: encoding = bgr8")
+
+
+def test_a_compressed_image_is_decoded_only_for_a_picture() -> None:
+    """Its size is not known without decoding; what cannot be decoded is refused where it is wanted."""
+    message = make_ros("sensor_msgs/msg/CompressedImage", header=header(1), format="jpeg", data=np.ones(9, np.uint8))
+    assert answer_frame(frame(1, image=message), Config(), ())[0].fit.ok
+    assert answer_frame(frame(1, image=message), Config(), ("rectified",))[0].fit.status == "bad_input"
+    empty = replace(frame(1), image=make_ros("sensor_msgs/msg/CompressedImage", header=header(1)))
+    assert answer_frame(empty, Config(), ())[0].fit.status == "bad_input"

@@ -1,0 +1,203 @@
+"""What integrators meet with a live node: their detector's messages, their QoS, their clocks and restarts."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from elevator_rectify.ros.messages import installed, make_ros, ros_type
+from elevator_rectify.ros.poses import UNKNOWN_SCALE_VARIANCE
+from test.harness import PREFIX, Harness, start, stop
+from test.messages import camera_info, detections, header, image, vision_detections
+from test.scenes import scene
+
+DETECTIONS = "vision_msgs/msg/Detection2DArray"
+# Of the real package, as given by `ros2 topic info -v` on a robot.
+HASHES = {
+    "Detection2DArray": "RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968",
+    "Detection3DArray": "RIHS01_793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018",
+}
+pytestmark = pytest.mark.skipif(
+    not installed(DETECTIONS), reason="vision_msgs is not installed: make test builds it from test/interfaces"
+)
+TRUTH = scene(1, tilt_deg=15.0, sigma_px=0.3)
+
+
+@contextmanager
+def live(*arguments: str, inputs: dict[str, str] | None = None) -> Iterator[tuple[Any, Harness]]:
+    process, harness = start(*arguments), Harness(inputs)
+    try:
+        yield process, harness
+    finally:
+        harness.close()
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def frame(stamp: int, **other: Any) -> dict[str, Any]:
+    good = {
+        "image": image(stamp),
+        "camera_info": camera_info(stamp),
+        "detections": detections(stamp, TRUTH.centres_px),
+    }
+    return {**good, **other}
+
+
+@pytest.mark.parametrize("name", HASHES)
+def test_the_stand_in_talks_to_the_real_vision_msgs(name: str) -> None:
+    path = Path(sys.prefix) / "share" / "vision_msgs" / "msg" / f"{name}.json"
+    if not path.exists():
+        pytest.skip("the real vision_msgs is installed here")
+    hashes = {t["type_name"]: t["hash_string"] for t in json.loads(path.read_text())["type_hashes"]}
+    assert hashes[f"vision_msgs/msg/{name}"] == HASHES[name]
+
+
+def test_vision_msgs_in_and_buttons_markers_and_tf_out() -> None:
+    arguments = ["-p", "publish_tf:=true", "-p", "detections.labels:='0=B1'"]
+    with live(*arguments, inputs={"detections": DETECTIONS}) as (process, harness):
+        harness.listen("/tf", "tf2_msgs/msg/TFMessage")
+        assert harness.until(harness.connected)
+        labels = ["0", "7", "open", *[""] * (len(TRUTH.centres_px) - 3)]
+        harness.send(**frame(1, detections=vision_detections(1, TRUTH.centres_px, labels)))
+        assert harness.answered(1) and harness.statuses() == ["ok"]
+        assert harness.until(lambda: bool(harness.received["buttons"] and harness.received["/tf"]))
+        (buttons,), (pose,) = harness.received["buttons"], harness.received["panel_pose"]
+        found = {b.results[0].hypothesis.class_id for b in buttons.detections}
+        assert len(buttons.detections) == len(TRUTH.centres_px) and found == {"B1", "open", ""}
+        first = next(b for b in buttons.detections if b.id == "0,0")
+        assert first.bbox.center.position == pose.pose.pose.position
+        np.testing.assert_allclose(first.results[0].pose.covariance, pose.pose.covariance)
+        (transform,) = harness.received["/tf"][0].transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("camera", "elevator_panel")
+        assert transform.transform.translation.z == pose.pose.pose.position.z
+        markers = harness.received["markers"][0].markers
+        assert markers[0].action == markers[0].DELETEALL
+        assert {m.text for m in markers if m.ns == "labels"} == {"B1", "open"}
+        harness.send(**frame(2, detections=vision_detections(2, np.zeros((0, 2)), [])))
+        assert harness.answered(2)
+        assert harness.until(lambda: len(harness.received["markers"]) == 2)
+        assert len(harness.received["markers"][1].markers) == 1, "old markers are deleted, and nothing is drawn"
+        stop(process)
+
+
+def test_another_detector_may_take_over_with_another_type() -> None:
+    with live() as (process, harness):
+        assert harness.until(harness.connected)
+        harness.send(**frame(1))
+        assert harness.answered(1)
+        harness.advertise("detections", DETECTIONS)
+        assert harness.until(lambda: bool(harness.inputs["detections"].get_subscription_count()))
+        harness.until(lambda: False, 1.0)
+        harness.send(**frame(2, detections=vision_detections(2, TRUTH.centres_px, [""] * len(TRUTH.centres_px))))
+        assert harness.answered(2) and harness.statuses() == ["ok", "ok"]
+        assert "Detection2DArray" in stop(process)
+
+
+def test_compressed_images_come_in_and_go_out() -> None:
+    arguments = ["-p", "image_transport:=compressed"]
+    inputs = {"image/compressed": "sensor_msgs/msg/CompressedImage"}
+    picture = np.full((480, 640, 3), 90, np.uint8)
+    data = cv2.imencode(".png", picture)[1].ravel()
+
+    def compressed(stamp: int, size: int) -> dict[str, Any]:
+        message = make_ros("sensor_msgs/msg/CompressedImage", header=header(stamp), format="png", data=data[:size])
+        rest = {name: content for name, content in frame(stamp).items() if name != "image"}
+        return {"image/compressed": message, **rest}
+
+    process, harness = start(*arguments), Harness()
+    harness.node.destroy_publisher(harness.inputs.pop("image"))
+    for name, kind in inputs.items():
+        harness.advertise(name, kind)
+    try:
+        assert harness.until(harness.connected)
+        harness.send(**compressed(1, len(data)))
+        assert harness.answered(1) and harness.statuses() == ["ok"]
+        assert harness.until(lambda: bool(harness.received["rectified/image/compressed"]))
+        message = harness.received["rectified/image/compressed"][0]
+        view = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+        raw = harness.received["rectified/image"][0]
+        assert view.shape[:2] == (raw.height, raw.width)
+        harness.send(**compressed(2, 20))
+        assert harness.answered(2) and "bad_input: image: data = 20 bytes" in harness.statuses()[1]
+        stop(process)
+    finally:
+        harness.close()
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def test_qos_that_does_not_match_is_logged_with_both_sides_settings() -> None:
+    override = "qos_overrides./camera_info.subscription.reliability"
+    with live("-p", f"{override}:=reliable") as (process, harness):
+        unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        harness.node.create_publisher(ros_type("sensor_msgs/msg/CameraInfo"), "camera_info", unreliable)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        kind = ros_type("geometry_msgs/msg/PoseArray")
+        harness.node.create_subscription(kind, PREFIX + "grid_centers", lambda _: None, latched)
+        assert harness.until(harness.connected)
+        harness.until(lambda: False, 1.0)
+        said = stop(process)
+    assert "camera_info: nothing will come from a publisher whose RELIABILITY does not match" in said
+    assert "Ours: reliability RELIABLE" in said and "reliability BEST_EFFORT, durability VOLATILE" in said
+    assert "grid_centers: a subscriber asks for another DURABILITY" in said and "TRANSIENT_LOCAL" in said
+
+
+def test_diagnostics_count_everything_and_nothing_is_left_behind() -> None:
+    before = set(Path("/dev/shm").glob("fast*"))
+    with live() as (process, harness):
+        assert harness.until(harness.connected)
+        harness.send(**frame(10))
+        harness.send(image=image(11), camera_info=camera_info(11))
+        harness.send(**frame(12, camera_info=camera_info(12), detections=detections(12)))
+        harness.send(image=image(12))
+        assert harness.answered(2)
+        seen = harness.received["/diagnostics"]
+        count = len(seen)
+        assert harness.until(lambda: len(seen) >= count + 2)
+        values = {pair.key: pair.value for pair in seen[-1].status[0].values}
+        expected = {
+            "image received": "4",
+            "detections received": "2",
+            "frames ok": "1",
+            "frames too_few_detections": "1",
+            "dropped image with a repeated stamp": "1",
+            "image waiting for its counterpart": "1",
+            "share accepted": "0.500",
+            "detections type": "geometry_msgs/msg/PoseArray",
+        }
+        assert {key: values.get(key) for key in expected} == expected
+        assert values["last reason"].startswith("too_few_detections")
+        stop(process, signal.SIGTERM)
+    assert {path for path in Path("/dev/shm").glob("fast*") if "port" not in path.name} <= before
+
+
+def test_without_a_scale_the_translation_is_unusable_and_says_so() -> None:
+    with live("-p", "scale.column_pitch_m:=0.0") as (process, harness):
+        assert harness.until(harness.connected)
+        harness.send(**frame(1))
+        assert harness.answered(1) and harness.until(lambda: bool(harness.received["panel_pose"]))
+        covariance = np.array(harness.received["panel_pose"][0].pose.covariance).reshape(6, 6)
+        np.testing.assert_allclose(covariance[:3, :3], UNKNOWN_SCALE_VARIANCE * np.eye(3))
+        assert np.linalg.eigvalsh(covariance)[0] > 0 and covariance[3, 3] < 0.1
+        values = {pair.key: pair.value for pair in harness.received["status"][0].values}
+        assert (values["scale"], values["unit"]) == ("unknown", "column pitch")
+        stop(process)
+
+
+def test_a_missing_package_is_named(tmp_path: Path) -> None:
+    with live("-p", "detections.type:=yolo_msgs", inputs={}) as (process, harness):
+        assert harness.until(lambda: bool(harness.node.count_publishers("/diagnostics")))
+        harness.until(lambda: False, 1.0)
+        assert "sudo apt install ros-jazzy-yolo-msgs" in stop(process)

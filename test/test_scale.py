@@ -1,0 +1,142 @@
+"""The metric scale from depth, and the smoothing from frame to frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from elevator_rectify.core import Config, fit_panel
+from elevator_rectify.core.config import ScaleConfig, SmoothingConfig
+from elevator_rectify.core.motion import rotation
+from elevator_rectify.core.pose import covariance_at
+from elevator_rectify.core.scale import scaled, with_scale
+from elevator_rectify.core.track import smoothed
+from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.render.panel import PITCH_M
+from elevator_rectify.render.scene import Scene
+from test.scenes import rotation_error_deg, scene
+
+NO_PITCH = ScaleConfig()
+
+
+def depth_of(view: Scene) -> Array:
+    """The depth that a perfect camera would see of the panel's plane."""
+    camera = view.camera
+    pixels = (
+        np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).reshape(-1, 2).astype(float)
+    )
+    rays = np.c_[camera.rays(pixels), np.ones(len(pixels))]
+    normal = view.R_camera_panel[:, 2]
+    depth = (normal @ view.t_camera_panel) / (rays @ normal)
+    return np.where(depth > 0, depth, np.nan).reshape(camera.height, camera.width)
+
+
+def test_depth_gives_the_metric_scale_through_holes_and_a_hand() -> None:
+    view = scene(3, tilt_deg=30.0, sigma_px=0.0)
+    fit = fit_panel(view.centres_px, view.camera)
+    depth = depth_of(view)
+    rng = np.random.default_rng(0)
+    depth[rng.random(depth.shape) < 0.3] = np.nan
+    depth[:, 300:340] = 0.1
+    found, source = with_scale(fit, view.camera, depth, NO_PITCH)
+    assert source == "depth" and found.metric
+    # Nearest pixel of a tilted plane: within the systematic share.
+    assert found.pitch[0] == pytest.approx(PITCH_M, rel=0.01)
+    assert np.linalg.norm(found.t_camera_panel - view.t_camera_panel) < 0.01 * np.linalg.norm(view.t_camera_panel)
+    np.testing.assert_allclose(found.grid_points[0, 0], found.t_camera_panel)
+    assert np.linalg.eigvalsh(found.covariance)[0] > 0
+
+
+def test_depth_and_pitch_are_combined_or_contradict_each_other() -> None:
+    view = scene(3, sigma_px=0.0)
+    fit, depth = fit_panel(view.centres_px, view.camera), depth_of(view)
+    both, source = with_scale(fit, view.camera, depth, ScaleConfig(PITCH_M, 0.001))
+    alone, _ = with_scale(fit, view.camera, depth, NO_PITCH)
+    assert source == "column pitch and depth"
+    assert both.covariance[2, 2] < alone.covariance[2, 2]
+    neither, source = with_scale(fit, view.camera, depth, ScaleConfig(2 * PITCH_M, 0.001))
+    assert not neither.metric and "by the depth" in source
+
+
+@pytest.mark.parametrize("fault", ["size", "holes", "no plane"])
+def test_an_unusable_depth_image_leaves_the_scale_unknown_and_says_why(fault: str) -> None:
+    view = scene(3, sigma_px=0.0)
+    fit, depth = fit_panel(view.centres_px, view.camera), depth_of(view)
+    if fault == "size":
+        depth = depth[::2]
+    elif fault == "holes":
+        depth[:] = np.nan
+    else:
+        depth = depth * np.random.default_rng(0).uniform(0.5, 1.5, depth.shape)
+    found, source = with_scale(fit, view.camera, depth, NO_PITCH)
+    assert not found.metric and source.startswith("unknown: the depth image")
+    with_pitch, source = with_scale(fit, view.camera, depth, ScaleConfig(PITCH_M, 0.001))
+    assert with_pitch.metric and source.startswith("column pitch: ")
+
+
+def test_scaling_a_fit_is_fitting_with_the_pitch() -> None:
+    view = scene(4, sigma_px=0.5)
+    given = ScaleConfig(PITCH_M, 0.001)
+    known = fit_panel(view.centres_px, view.camera, replace(Config(), scale=given))
+    ours = scaled(fit_panel(view.centres_px, view.camera), given.column_pitch_m, given.column_pitch_std_m)
+    for name in ("t_camera_panel", "pitch", "covariance", "grid_panel", "grid_points"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(known, name), rtol=1e-9, atol=1e-12)
+
+
+def test_the_covariance_elsewhere_on_the_panel_is_the_first_order_one() -> None:
+    """Against samples of poses: x = t + R q."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(0, 1e-3, (6, 6))
+    covariance, arm = A @ A.T, np.array([0.2, -0.1, 0.3])
+    samples = rng.multivariate_normal(np.zeros(6), covariance, 20000)
+    moved = np.array([s[:3] + rotation(s[3:]) @ arm - arm for s in samples])
+    # 20,000 samples give a covariance to 2 %.
+    np.testing.assert_allclose(np.cov(moved.T), covariance_at(covariance, arm)[:3, :3], atol=0.06 * covariance.max())
+
+
+def frames(seed: int, number: int) -> list[tuple[Scene, GridFit]]:
+    views = [replace_noise(seed, k) for k in range(number)]
+    config = replace(Config(), scale=ScaleConfig(PITCH_M, 0.001))
+    return [(view, fit_panel(view.centres_px, view.camera, config)) for view in views]
+
+
+def replace_noise(seed: int, k: int) -> Scene:
+    still = scene(seed, tilt_deg=25.0)
+    noise = np.random.default_rng([seed, k]).normal(0.0, 0.8, still.centres_px.shape)
+    moved = tuple(
+        replace(d, x_px=d.x_px + dx, y_px=d.y_px + dy) for d, (dx, dy) in zip(still.detections, noise, strict=True)
+    )
+    return replace(still, detections=moved)
+
+
+def test_smoothing_helps_a_still_camera_and_keeps_grid_and_pose_together() -> None:
+    still = SmoothingConfig(speed_m_per_s=0.01, turn_rad_per_s=0.01)
+    track, raw, smooth = None, [], []
+    for k, (view, fit) in enumerate(frames(5, 25)):
+        track, found = smoothed(track, fit, view.camera, k * 33_000_000, still)
+        raw.append(rotation_error_deg(fit.R_camera_panel, view.R_camera_panel))
+        smooth.append(rotation_error_deg(found.R_camera_panel, view.R_camera_panel))
+        np.testing.assert_allclose(found.grid_points[0, 0], found.t_camera_panel, atol=1e-9)
+        np.testing.assert_allclose(found.grid_px, view.camera.project(found.grid_points), atol=1e-6)
+    assert np.mean(smooth[5:]) < 0.7 * np.mean(raw[5:])
+
+
+def test_a_jump_is_shown_as_a_jump() -> None:
+    (view, first), (_, second) = frames(6, 2)
+    track, _ = smoothed(None, first, view.camera, 0, SmoothingConfig())
+    far = replace(second, t_camera_panel=second.t_camera_panel + np.array([0.3, 0.0, 0.0]))
+    _, found = smoothed(track, far, view.camera, 33_000_000, SmoothingConfig())
+    assert found is far
+
+
+def test_nothing_is_smoothed_over_a_refusal_an_older_frame_another_panel_or_a_pause() -> None:
+    (view, first), (_, second) = frames(7, 2)
+    track, _ = smoothed(None, first, view.camera, 10**9, SmoothingConfig())
+    refused = replace(second, status="ambiguous")
+    assert smoothed(track, refused, view.camera, 2 * 10**9, SmoothingConfig()) == (track, refused)
+    assert smoothed(track, second, view.camera, 10**9, SmoothingConfig()) == (track, second)
+    other = replace(second, rows=second.rows + 1)
+    assert smoothed(track, other, view.camera, 10**9 + 1, SmoothingConfig())[1] is other
+    assert smoothed(track, second, view.camera, 4 * 10**9, SmoothingConfig())[1] is second

@@ -1,0 +1,58 @@
+"""The reader of serialised images against rclpy's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+
+from elevator_rectify.ros.messages import make_ros
+from elevator_rectify.ros.serialized import read_image
+from test.messages import header
+
+
+def pixels(size: int) -> Any:
+    return np.arange(size, dtype=np.uint8)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    frame=st.text(st.characters(min_codepoint=1, exclude_categories=["Cs"]), max_size=20),
+    encoding=st.text("abc8_", max_size=9),
+    size=st.integers(0, 50),
+    stamp=st.integers(0, 2**31 * 10**9 - 1),
+)
+def test_images_are_read_as_rclpy_reads_them(frame: str, encoding: str, size: int, stamp: int) -> None:
+    message = make_ros(
+        "sensor_msgs/msg/Image",
+        header=header(stamp, frame),
+        height=3,
+        width=size,
+        encoding=encoding,
+        is_bigendian=1,
+        step=2 * size,
+        data=pixels(size),
+    )
+    read = read_image("sensor_msgs/msg/Image", bytes(serialize_message(message)))
+    for name in ("height", "width", "encoding", "is_bigendian", "step"):
+        assert getattr(read, name) == getattr(message, name)
+    assert (read.header.frame_id, read.header.stamp.sec) == (frame, message.header.stamp.sec)
+    assert read.header.stamp.nanosec == message.header.stamp.nanosec
+    assert bytes(read.data) == bytes(message.data)
+
+
+def test_compressed_images_too() -> None:
+    message = make_ros("sensor_msgs/msg/CompressedImage", header=header(7), format="jpeg", data=pixels(11))
+    read = read_image("sensor_msgs/msg/CompressedImage", bytes(serialize_message(message)))
+    assert (read.format, bytes(read.data)) == ("jpeg", bytes(message.data))
+
+
+def test_big_endian_bytes_are_left_to_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr("elevator_rectify.ros.serialized.deserialize_message", lambda *given: seen.append(given))
+    read_image("sensor_msgs/msg/Image", b"\x00\x00\x00\x00rest")
+    assert seen[0][0].endswith(b"rest")
