@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 
 from elevator_rectify.demo import dds_environment
 from elevator_rectify.ros.messages import installed, ros_type
-from elevator_rectify.ros.output import BUTTONS, TOPICS
+from elevator_rectify.ros.output import BUTTONS, TARGET, TOPICS
 
 ROOT = Path(__file__).parent.parent
 DOMAIN = 78
@@ -30,6 +30,7 @@ INPUTS = {
 }
 OUTPUTS = {
     **{PREFIX + topic: kind for topic, kind in TOPICS.items()},
+    **{PREFIX + topic: kind for topic, kind in TARGET.items()},
     **({PREFIX + BUTTONS[0]: BUTTONS[1]} if installed(BUTTONS[1]) else {}),
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }

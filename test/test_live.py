@@ -196,6 +196,46 @@ def test_without_a_scale_the_translation_is_unusable_and_says_so() -> None:
         stop(process)
 
 
+def test_a_target_is_found_or_the_status_says_why_not() -> None:
+    inputs = {"detections": DETECTIONS, PREFIX + "target": "std_msgs/msg/String"}
+    labels = [d.label for d in TRUTH.detections]
+    arguments = ["-p", "detections.numbers_are_labels:=true"]
+    with live(*arguments, inputs=inputs) as (process, harness):
+        assert harness.until(harness.connected)
+
+        def ask(target: str, stamp: int) -> dict[str, str]:
+            harness.send(**{PREFIX + "target": make_ros("std_msgs/msg/String", data=target)})
+            harness.until(lambda: False, 0.5)
+            harness.send(**frame(stamp, detections=vision_detections(stamp, TRUTH.centres_px, labels)))
+            assert harness.answered(stamp)
+            return {pair.key: pair.value for pair in harness.received["status"][-1].values}
+
+        assert ask("", 1)["target_status"] == ""
+        assert ask("99", 2)["target_status"] == "unknown_label"
+        assert not harness.received["target_pose"]
+        assert ask("7", 3)["target_status"] == "found"
+        assert harness.until(lambda: bool(harness.received["target_pose"] and harness.received["standoff_pose"]))
+        poses = [harness.received[topic][0] for topic in ("target_pose", "standoff_pose")]
+        at, before = (np.array([p.pose.position.x, p.pose.position.y, p.pose.position.z]) for p in poses)
+        seven = next(k for k, button in enumerate(TRUTH.panel.buttons) if button.label == "7")
+        truth = TRUTH.R_camera_panel @ TRUTH.panel.points_m[seven] + TRUTH.t_camera_panel
+        # The pitch is given exactly; 0.3 px of noise.
+        assert np.linalg.norm(at - truth) < 0.03 * np.linalg.norm(truth)
+        assert np.linalg.norm(at - before) == pytest.approx(0.1) and np.linalg.norm(before) < np.linalg.norm(at)
+        stop(process)
+
+
+def test_under_simulated_time_frames_are_answered_and_diagnostics_go_on() -> None:
+    """Nobody publishes a clock yet: a node whose timers waited for it would be silent."""
+    with live("-p", "use_sim_time:=true") as (process, harness):
+        assert harness.until(harness.connected)
+        harness.send(**frame(1))
+        assert harness.answered(1) and harness.statuses() == ["ok"]
+        count = len(harness.received["/diagnostics"])
+        assert harness.until(lambda: len(harness.received["/diagnostics"]) > count)
+        stop(process)
+
+
 def test_a_missing_package_is_named(tmp_path: Path) -> None:
     with live("-p", "detections.type:=yolo_msgs", inputs={}) as (process, harness):
         assert harness.until(lambda: bool(harness.node.count_publishers("/diagnostics")))

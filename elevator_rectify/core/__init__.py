@@ -1,9 +1,21 @@
 """The mathematics: NumPy and OpenCV, no ROS."""
 
+from elevator_rectify.core.buttons import find_button
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel, fit_panels
-from elevator_rectify.core.types import Detection, GridFit, Rectification
+from elevator_rectify.core.types import Button, Detection, GridFit, Rectification
 from elevator_rectify.core.warp import rectify_image
 
-__all__ = ["Camera", "Config", "Detection", "GridFit", "Rectification", "fit_panel", "fit_panels", "rectify_image"]
+__all__ = [
+    "Button",
+    "Camera",
+    "Config",
+    "Detection",
+    "GridFit",
+    "Rectification",
+    "find_button",
+    "fit_panel",
+    "fit_panels",
+    "rectify_image",
+]

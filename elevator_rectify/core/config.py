@@ -183,6 +183,17 @@ class NoiseConfig(Checked):
 
 
 @dataclass(frozen=True)
+class TargetConfig(Checked):
+    """The button that is to be pressed."""
+
+    min_score: float = value(0.5, "a label that was read with a lower score is not pressed", low=0.0, high=1.0)
+    max_lateral_std_m: float = value(
+        0.01, "largest standard deviation of a button's place across the pressing direction", low=0.0, high=1.0
+    )
+    standoff_m: float = value(0.1, "distance of the standing-off pose from the button", low=0.0, high=2.0)
+
+
+@dataclass(frozen=True)
 class ViewConfig(Checked):
     """The rectified view."""
 
@@ -206,6 +217,7 @@ class Config:
     size: SizeConfig = field(default_factory=SizeConfig)
     accept: AcceptConfig = field(default_factory=AcceptConfig)
     scale: ScaleConfig = field(default_factory=ScaleConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
 
     def __post_init__(self) -> None:

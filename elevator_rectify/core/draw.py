@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from elevator_rectify.core.types import Array, GridFit, Image
+from elevator_rectify.core.types import Array, Button, GridFit, Image
 
 GREEN, RED, AMBER, BLACK, WHITE = (60, 220, 60), (50, 50, 235), (40, 170, 250), (0, 0, 0), (255, 255, 255)
 
@@ -17,8 +17,11 @@ def as_colour(image: Image) -> Image:
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
 
 
-def draw_overlay(image: Image, centres_px: Array, fit: GridFit) -> Image:
-    """Return the image with detections as green diamonds, grid centres as red crosses, and the status in a line."""
+def draw_overlay(image: Image, centres_px: Array, fit: GridFit, target: Button | None = None) -> Image:
+    """Return the image with detections as green diamonds, grid centres as red crosses, and the status in a line.
+
+    target: the button that is to be pressed, drawn as a circle with its label.
+    """
     canvas = as_colour(image)
     size = max(8, round(0.018 * max(canvas.shape[:2])))
     thickness = max(1, size // 8)
@@ -26,11 +29,19 @@ def draw_overlay(image: Image, centres_px: Array, fit: GridFit) -> Image:
         cv2.drawMarker(canvas, (x, y), RED, cv2.MARKER_CROSS, size, thickness)
     for x, y in _drawable(centres_px):
         cv2.drawMarker(canvas, (x, y), GREEN, cv2.MARKER_DIAMOND, size, thickness)
+    for x, y in _drawable(target.image_px[None]) if target is not None else ():
+        cv2.circle(canvas, (x, y), 2 * size, AMBER, 2 * thickness, cv2.LINE_AA)
+        cv2.putText(canvas, _ascii(target), (x + 2 * size, y), cv2.FONT_HERSHEY_SIMPLEX, size / 16.0, AMBER, thickness)
     if fit.ok:
         text = f"ok  {fit.rows} x {fit.columns}  confidence {fit.confidence:.2f}  rms {fit.rms_px:.1f} px"
     else:
         text = f"{fit.status}: {fit.reason}"
     return caption(canvas, [text], GREEN if fit.ok else AMBER)
+
+
+def _ascii(button: Button | None) -> str:
+    """Return the label as OpenCV's fonts can draw it."""
+    return "" if button is None else button.label.encode("ascii", "replace").decode()
 
 
 def _drawable(points: Array) -> Sequence[tuple[int, int]]:

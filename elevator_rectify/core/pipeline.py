@@ -31,6 +31,13 @@ def fit_panel(
     Never raises for what a detector may send: "no panel" is a result whose status and reason say why. Raises
     ValueError for an array of a wrong shape.
     """
+    found = _fit(detections, camera, config, previous)
+    given = tuple(d for d in detections if isinstance(d, Detection))
+    return replace(found, detections=given) if len(given) == len(detections) else found
+
+
+def _fit(detections: Array | Sequence[Detection], camera: Camera, config: Config, previous: GridFit | None) -> GridFit:
+    """Run the stages in their order."""
     usable = usable_detections(detections, camera, config.input)
     if len(usable.index) < config.input.min_detections:
         reason = f"{len(usable.index)} usable detections, {config.input.min_detections} needed{_dropped(usable)}"
@@ -63,7 +70,8 @@ def fit_panels(
             return fits
         cells = np.full((len(detections), 2), -1, dtype=np.int64)
         cells[left] = fit.cells
-        fits.append(replace(fit, cells=cells))
+        given = tuple(d for d in detections if isinstance(d, Detection))
+        fits.append(replace(fit, cells=cells, detections=given if len(given) == len(detections) else ()))
         taken = fit.cells[:, 0] >= 0
         if not taken.any() or len(left) - taken.sum() < config.input.min_detections:
             return fits

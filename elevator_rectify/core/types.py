@@ -33,6 +33,31 @@ def _nan(*shape: int) -> Any:
 
 
 @dataclass(frozen=True)
+class Button:
+    """One detected button of a fitted panel.
+
+    image_px: (2,) its cell's centre in the (distorted) image; panel: (2,) the same in the panel frame; point: (3,) in
+    the camera frame, with covariance (3, 3); normal: (3,) unit vector out of the panel, towards the camera; size: its
+    width and height. Lengths are in the fit's unit. label: as it is looked up (`canonical`), read: as the detector
+    wrote it; score: the detector's; detection: index into the input.
+    """
+
+    block: tuple[int, int]
+    row: int
+    column: int
+    image_px: Array
+    panel: Array
+    point: Array
+    covariance: Array
+    normal: Array
+    size: tuple[float, float]
+    label: str
+    read: str
+    score: float
+    detection: int
+
+
+@dataclass(frozen=True)
 class GridFit:
     """The fitted grid and the panel's pose, or the reason why there is none.
 
@@ -43,7 +68,8 @@ class GridFit:
     row_positions, column_positions: in pitches; a staggered row is half a pitch to the right, a staggered column half
     a pitch down; row_block, column_block: number of the regular block, counted from 0, divided by gaps that are no
     whole pitch. alternatives: with status 'ambiguous', the other poses that explain the detections almost as well;
-    margin_nats: the log likelihood between the best and the next one.
+    margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
+    a list; `cells` has the same order.
     """
 
     status: str
@@ -74,11 +100,19 @@ class GridFit:
     cost_x1000: float = float("nan")
     margin_nats: float = float("inf")
     alternatives: tuple[GridFit, ...] = ()
+    detections: tuple[Detection, ...] = ()
 
     @property
     def ok(self) -> bool:
         """Tell whether the pose may be used."""
         return self.status == "ok"
+
+    @property
+    def buttons(self) -> tuple[Button, ...]:
+        """Return the detected buttons of the grid, row by row; none where the pose may not be used."""
+        from elevator_rectify.core.buttons import buttons_of
+
+        return buttons_of(self)
 
 
 @dataclass(frozen=True)

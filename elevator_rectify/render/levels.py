@@ -37,6 +37,7 @@ class Level:
     any_size: bool = False
     # Standard deviation of ln(row pitch / column pitch).
     log_aspect_std: float = 0.2
+    clutter: float = 0.0
 
 
 LEVELS = {
@@ -46,7 +47,7 @@ LEVELS = {
     "extreme": Level(60, 20, 3.0, 0.4, 0.3, 0.1, 0.4, 0.4),
     "gaps": Level(45, 10, 1.5, 0.2, 0.1, 0.0, 0.0, 0.3, gap=1.0),
     # As panels really hang, and as good detectors see them; for calibration.
-    "wild": Level(45, 10, 2.5, 0.3, 0.5, 0.05, 0.3, 0.5, 0.4, 0.15, 0.35, 10.0, True, 0.35),
+    "wild": Level(45, 10, 2.5, 0.3, 0.5, 0.05, 0.3, 0.5, 0.4, 0.15, 0.35, 10.0, True, 0.35, 0.4),
 }
 
 
@@ -101,7 +102,7 @@ def random_scene(level: Level, seed: int, trial: int, camera: Camera | None = No
         sigma_px = level.sigma_px
         if level.sigma_spread > 1.0:
             sigma_px *= float(np.exp(-rng.uniform(0.0, np.log(level.sigma_spread))))
-        detector = DetectorModel(sigma_px * scale, missed, false, level.duplicates)
+        detector = DetectorModel(sigma_px * scale, missed, false, level.duplicates, level.clutter)
         scene = make_scene(panel, camera, view, detector, rng)
         if (scene.button >= 0).sum() >= _MIN_TRUE and closest(scene.pixels) >= _MIN_DISTANCE_PX * scale:
             return scene

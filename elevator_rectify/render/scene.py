@@ -27,12 +27,16 @@ class Viewpoint:
 
 @dataclass(frozen=True)
 class DetectorModel:
-    """A detector's faults: centre noise, shares of missed, false and doubled detections."""
+    """A detector's faults: centre noise, shares of missed, false and doubled detections.
+
+    clutter: probability that rows of key switches, in the panel's plane but off its lattice, are detected too.
+    """
 
     sigma_px: float = 1.0
     missed: float = 0.0
     false: float = 0.0
     duplicates: float = 0.0
+    clutter: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,11 @@ def make_scene(
     button = np.concatenate([found, doubled, np.full(round(detector.false * len(found)), -1)]).astype(np.int64)
     centres = np.where((button >= 0)[:, None], pixels[button], _false_centres(pixels, len(button), camera, rng))
     centres = centres + rng.normal(0.0, detector.sigma_px, centres.shape) * (button >= 0)[:, None]
+    if detector.clutter and rng.random() < detector.clutter:
+        clutter = camera.project(_clutter_points(panel, rng) @ R.T + t)
+        clutter = clutter[((clutter >= 0) & (clutter < [camera.width, camera.height])).all(axis=1)]
+        centres = np.concatenate([centres, clutter + rng.normal(0.0, detector.sigma_px, clutter.shape)])
+        button = np.concatenate([button, np.full(len(clutter), -1)]).astype(np.int64)
     sizes = np.where(button >= 0, size_px[button], rng.choice(size_px, len(button)))
     boxes = sizes[:, None] * np.exp(rng.normal(0.0, 0.06, (len(button), 2)))
     scores = np.clip(
@@ -111,6 +120,19 @@ def make_scene(
         for n in order
     )
     return Scene(panel, camera, R, t, pixels, detections, button[order], detector)
+
+
+def _clutter_points(panel: Panel, rng: np.random.Generator) -> Array:
+    """Return points (M, 3) of rows of key switches or lamps above or below the buttons, at distances of their own."""
+    points, pitch = panel.points_m, np.array(panel.pitch_m)
+    low, high = points.min(axis=0)[:2], points.max(axis=0)[:2]
+    rows, columns = int(rng.integers(1, 5)), int(rng.integers(1, 5))
+    step = pitch * rng.uniform(0.5, 1.8, 2)
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * step
+    across = (low[0] + high[0]) / 2.0 - at[-1, 0] / 2.0 + rng.uniform(-0.5, 0.5) * pitch[0]
+    gap = rng.uniform(0.8, 2.5) * pitch[1]
+    down = high[1] + gap if rng.random() < 0.5 else low[1] - gap - at[-1, 1]
+    return np.column_stack([at + np.array([across, down]), np.zeros(len(at))])
 
 
 def _false_centres(pixels: Array, number: int, camera: Camera, rng: np.random.Generator) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from elevator_rectify.core.buttons import Choice, find_button
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.draw import draw_overlay
@@ -48,6 +49,9 @@ class Answer:
     view: Rectification | None = None
     overlay: Image | None = None
     scale: str = "unknown"
+    target: str = ""
+    choice: Choice | None = None
+    standoff_m: float = 0.0
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
 
 
@@ -67,11 +71,13 @@ def answer_frame(
     wanted: Collection[str] = ("rectified", "overlay"),
     node: NodeConfig = DEFAULT_NODE,
     track: Track | None = None,
+    target: str = "",
 ) -> tuple[Answer, Track | None]:
     """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
 
     wanted: which pictures to make, of 'rectified' and 'overlay'; without any, the image is checked but not converted.
-    track: of the frames before, where `node.track` is on; the new one is returned.
+    track: of the frames before, where `node.track` is on; the new one is returned. target: label of the button that is
+    to be pressed, '' for none.
     """
     watch = Stopwatch()
     try:
@@ -84,14 +90,17 @@ def answer_frame(
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
     watch.lap("fit")
+    choice = find_button(fit, target, config.target) if target else None
+    button = choice.button if choice is not None else None
     view = overlay = None
     if given.image is not None and fit.ok and "rectified" in wanted:
         view = rectify_image(given.image, given.camera, fit, config.view)
     watch.lap("warp")
     if given.image is not None and "overlay" in wanted:
-        overlay = draw_overlay(given.image, _finite_centres(given.detections), fit)
+        overlay = draw_overlay(given.image, _finite_centres(given.detections), fit, button)
     watch.lap("overlay")
-    answer = Answer(frame.image.header, fit, tuple(given.detections), given.camera, view, overlay, scale, watch)
+    answer = Answer(frame.image.header, fit, tuple(given.detections), given.camera, view, overlay, scale)
+    answer = replace(answer, target=target, choice=choice, standoff_m=config.target.standoff_m, stopwatch=watch)
     return answer, track
 
 

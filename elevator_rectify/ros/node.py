@@ -22,7 +22,15 @@ from elevator_rectify.core.types import GridFit
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.convert import class_labels, stamp_ns
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
-from elevator_rectify.ros.output import BUTTONS, PICTURES, TOPICS, diagnostics_message, output_messages, tf_message
+from elevator_rectify.ros.output import (
+    BUTTONS,
+    PICTURES,
+    TARGET,
+    TOPICS,
+    diagnostics_message,
+    output_messages,
+    tf_message,
+)
 from elevator_rectify.ros.pairing import Frame, Pairing
 from elevator_rectify.ros.parameters import changed, declare
 from elevator_rectify.ros.poses import ros_header
@@ -32,7 +40,7 @@ from elevator_rectify.ros.waiting import Waiting
 
 _SIGNAL_SECONDS = 0.1
 _DIAGNOSTICS_SECONDS = 1.0
-_TF_DEPTH = 100
+_TF_DEPTH, _LONGEST_TARGET = 100, 100
 _TF = "tf2_msgs/msg/TFMessage"
 
 
@@ -46,6 +54,7 @@ class ElevatorRectify(Node):
         self.add_on_set_parameters_callback(self._on_parameters)
         self.pairing = Pairing(self.node_config.pairing)
         self.statistics = Statistics()
+        self._target = ""
         self._track: tuple[int, Track | None] = (0, None)
         self._waiting = Waiting(self.node_config.max_waiting)
         self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
@@ -57,7 +66,7 @@ class ElevatorRectify(Node):
 
     @staticmethod
     def _topics() -> dict[str, str]:
-        return {**TOPICS, **({BUTTONS[0]: BUTTONS[1]} if installed(BUTTONS[1]) else {})}
+        return {**TOPICS, **TARGET, **({BUTTONS[0]: BUTTONS[1]} if installed(BUTTONS[1]) else {})}
 
     def _publisher(self, kind: str, topic: str, qos: QoSProfile | None = None) -> Any:
         """Create a publisher; a subscriber whose QoS does not match is logged."""
@@ -95,6 +104,7 @@ class ElevatorRectify(Node):
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
         for kind, topic, add in streams:
             subscribe(self, kind, topic, self._feeding(add))
+        self.create_subscription(ros_type("std_msgs/msg/String"), "~/target", self._on_target, output_qos())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._detections = DetectionsSubscriber(
             self,
@@ -103,6 +113,10 @@ class ElevatorRectify(Node):
             steady,
         )
         self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=steady)
+
+    def _on_target(self, message: Any) -> None:
+        """Select the button that is to be pressed, from the next frame on; an empty text selects none."""
+        self._target = str(message.data)[:_LONGEST_TARGET]
 
     def _feeding(self, add: Callable[[Any], list[Frame]]) -> Callable[[Any], None]:
         """Return the callback that adds a message to the pairing and enqueues what became complete."""
@@ -133,7 +147,7 @@ class ElevatorRectify(Node):
         jumps, track = self._track
         if jumps != self.pairing.jumps:
             jumps, track = self.pairing.jumps, None
-        answer, track = answer_frame(frame, self.config, wanted, self.node_config, track)
+        answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target)
         self._track = jumps, track
         self._publish(answer)
 

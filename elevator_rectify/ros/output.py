@@ -11,7 +11,7 @@ import numpy as np
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.types import Array, GridFit, Image
 from elevator_rectify.ros.answer import Answer
-from elevator_rectify.ros.buttons import buttons_message
+from elevator_rectify.ros.buttons import buttons_message, pressing_pose_message
 from elevator_rectify.ros.markers import marker_message
 from elevator_rectify.ros.messages import Make
 from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion, ros_header
@@ -28,6 +28,8 @@ TOPICS = {
     "overlay": "sensor_msgs/msg/Image",
     "status": "diagnostic_msgs/msg/DiagnosticStatus",
 }
+# Only while a button is asked for.
+TARGET = {"target_pose": "geometry_msgs/msg/PoseStamped", "standoff_pose": "geometry_msgs/msg/PoseStamped"}
 # Where vision_msgs is installed.
 BUTTONS = ("buttons", "vision_msgs/msg/Detection3DArray")
 # What the pictures of `answer_frame` serve.
@@ -55,7 +57,8 @@ def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] 
     if fit.ok:
         makers["grid_centers"] = lambda: grid_message(fit, header, make)
         makers["panel_pose"] = lambda: pose_message(fit, header, make)
-        makers["buttons"] = lambda: buttons_message(answer, header, make)
+        makers |= _target_makers(answer, header, make)
+        makers["buttons"] = lambda: buttons_message(fit, header, make)
     overlay = answer.overlay
     if overlay is not None:
         makers["overlay"] = lambda: image_message(overlay, header, make)
@@ -64,6 +67,18 @@ def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] 
     for topic, maker in makers.items():
         if listened(topic):
             yield topic, maker()
+
+
+def _target_makers(answer: Answer, header: Any, make: Make) -> dict[str, Callable[[], Any]]:
+    """Return the makers of the poses of the button that is to be pressed, where it was found."""
+    fit, choice = answer.fit, answer.choice
+    if choice is None or choice.button is None:
+        return {}
+    point, before = choice.button.point, choice.button.point + answer.standoff_m * choice.button.normal
+    return {
+        "target_pose": lambda: pressing_pose_message(fit, point, header, make),
+        "standoff_pose": lambda: pressing_pose_message(fit, before, header, make),
+    }
 
 
 def image_message(image: Image, header: Any, make: Make) -> Any:
@@ -146,6 +161,9 @@ def status_message(answer: Answer, make: Make) -> Any:
         "confidence": f"{fit.confidence:.4f}",
         "unit": "m" if fit.metric else "column pitch",
         "scale": answer.scale,
+        "target": answer.target,
+        "target_status": "" if answer.choice is None else answer.choice.status,
+        "target_reason": "" if answer.choice is None else answer.choice.reason,
         "detections": str(len(answer.detections)),
         "inliers": str(fit.inliers),
         "rows": str(fit.rows),

@@ -37,7 +37,7 @@ class Pairing:
     def __init__(self, config: PairingConfig) -> None:
         self.config = config
         self.dropped: Counter[str] = Counter()
-        self.received: Counter[str] = Counter()
+        self.received: Counter[str] = Counter({"image": 0, "camera_info": 0, "detections": 0})
         self.jumps = 0
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._detections: OrderedDict[int, Any] = OrderedDict()

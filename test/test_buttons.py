@@ -1,0 +1,142 @@
+"""Labels, buttons, and the choice of the one that is to be pressed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from elevator_rectify.core import Config, Detection, GridFit, find_button, fit_panel
+from elevator_rectify.core.buttons import lateral_std
+from elevator_rectify.core.config import ScaleConfig, TargetConfig
+from elevator_rectify.core.labels import aliases, canonical
+from elevator_rectify.render.panel import PITCH_M
+from test.scenes import scene
+
+METRIC = replace(Config(), scale=ScaleConfig(PITCH_M, 0.001))
+VIEW = scene(1, rows=6, columns=3, tilt_deg=20.0, sigma_px=0.3)
+
+
+def labelled(labels: dict[int, str], scores: dict[int, float] | None = None) -> list[Detection]:
+    """The view's detections, with the labels of some buttons of the panel replaced."""
+    given = []
+    for detection, button in zip(VIEW.detections, VIEW.button, strict=True):
+        label = labels.get(int(button), detection.label)
+        given.append(replace(detection, label=label, score=(scores or {}).get(int(button), 0.9)))
+    return given
+
+
+def fitted(labels: dict[int, str], scores: dict[int, float] | None = None) -> GridFit:
+    return fit_panel(labelled(labels, scores), VIEW.camera, METRIC)
+
+
+@pytest.mark.parametrize(
+    ("text", "label"),
+    [
+        ("7", "7"),
+        (" 07 ", "7"),
+        ("*1", "1"),
+        ("*", "*"),
+        ("-2", "-2"),
+        ("-0", "0"),
+        ("b1", "B1"),
+        ("<|>", "open"),
+        ("Door  Open", "open"),
+        (">|<", "close"),
+        ("\uff17", "7"),
+        ("\x00\n", ""),
+        ("", ""),
+    ],
+)
+def test_spellings_become_one(text: str, label: str) -> None:
+    assert canonical(text) == label
+
+
+def test_no_spelling_has_two_meanings_and_every_label_spells_itself() -> None:
+    table = aliases()
+    assert len(table) > 40 and all(canonical(name) == name for name in table.values())
+
+
+@settings(max_examples=300, deadline=None)
+@given(text=st.text(max_size=300))
+def test_any_text_has_a_label_that_is_its_own_label(text: str) -> None:
+    label = canonical(text)
+    assert len(label) <= 96 and label.isprintable() and canonical(label) == label
+
+
+def test_buttons_lie_where_they_are_on_the_panel() -> None:
+    fit = fitted({})
+    assert len(fit.buttons) == len(VIEW.detections)
+    for button in fit.buttons:
+        true = int(VIEW.button[button.detection])
+        place = VIEW.R_camera_panel @ VIEW.panel.points_m[true] + VIEW.t_camera_panel
+        # Scale known to 1 mm of 45, and 0.3 px of noise.
+        assert np.linalg.norm(button.point - place) < 0.03 * np.linalg.norm(place)
+        assert button.label == VIEW.panel.buttons[true].label and button.normal @ button.point < 0
+        assert np.linalg.eigvalsh(button.covariance)[0] > 0
+        assert 0.2 * PITCH_M < button.size[0] < 1.2 * PITCH_M
+
+
+def test_a_label_that_is_read_once_is_found() -> None:
+    choice = find_button(fitted({}), " 07 ")
+    assert choice.status == "found" and choice.button is not None and choice.button.label == "7"
+    assert lateral_std(choice.button) < 0.01
+
+
+def refusals() -> Sequence[tuple[str, GridFit, str]]:
+    plain = fitted({})
+    return [
+        ("", plain, "empty_target"),
+        ("\x01\x02", plain, "empty_target"),
+        ("99", plain, "unknown_label"),
+        ("open", plain, "unknown_label"),
+        ("7", fitted({0: "7"}), "two_candidates"),
+        ("7", fitted({}, {int(k): 0.3 for k in range(18)}), "low_score"),
+        ("7", fitted({}, {int(k): float("nan") for k in range(18)}), "no_panel"),
+        ("7", fit_panel(labelled({}), VIEW.camera), "unknown_scale"),
+        ("7", replace(plain, status="ambiguous"), "no_panel"),
+    ]
+
+
+@pytest.mark.parametrize("number", range(9))
+def test_what_is_not_certain_is_refused_with_its_reason(number: int) -> None:
+    target, fit, status = refusals()[number]
+    choice = find_button(fit, target)
+    assert choice.button is None and choice.status == status and choice.reason
+
+
+def test_a_place_that_is_not_known_well_enough_is_refused() -> None:
+    choice = find_button(fitted({}), "7", TargetConfig(max_lateral_std_m=1e-5))
+    assert choice.status == "uncertain" and "sideways" in choice.reason
+
+
+def test_a_second_reading_of_the_same_button_is_a_contradiction() -> None:
+    """Two detectors on one button: the cell is the same, the labels are not."""
+    given = labelled({})
+    seven = next(d for d in given if d.label == "7")
+    again = replace(seven, x_px=seven.x_px + 0.5, label="1")
+    fit = fit_panel([*given, again], VIEW.camera, METRIC)
+    assert find_button(fit, "7").status == "two_candidates"
+    same = fit_panel([*given, replace(again, label="7")], VIEW.camera, METRIC)
+    assert find_button(same, "7").status == "found"
+
+
+def test_points_without_labels_have_buttons_without_labels() -> None:
+    fit = fit_panel(VIEW.centres_px, VIEW.camera, METRIC)
+    assert len(fit.buttons) == len(VIEW.detections) and {b.label for b in fit.buttons} == {""}
+    assert find_button(fit, "7").status == "unknown_label"
+
+
+@settings(max_examples=60, deadline=None)
+@given(texts=st.lists(st.text(max_size=40), min_size=18, max_size=18), target=st.text(max_size=40))
+def test_any_labels_and_targets_give_a_choice(texts: list[str], target: str) -> None:
+    fit = replace(FITTED, detections=tuple(replace(d, label=t) for d, t in zip(FITTED.detections, texts, strict=False)))
+    choice = find_button(fit, target)
+    assert (choice.button is not None) == (choice.status == "found")
+
+
+FITTED = fitted({})
