@@ -61,11 +61,12 @@ class Record:
     time_ns: int
     data: bytes
     number: int = 0
+    typestore: Any = TYPESTORE
 
     @property
     def message(self) -> Any:
         """Return the deserialised rosbags message."""
-        return TYPESTORE.deserialize_cdr(self.data, self.kind)
+        return self.typestore.deserialize_cdr(self.data, self.kind)
 
 
 def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
@@ -83,7 +84,8 @@ def read_bag(path: Path, topics: set[str] | None = None) -> Iterator[Record]:
         chosen = [c for c in reader.connections if topics is None or c.topic in topics]
         try:
             for number, (connection, time_ns, data) in enumerate(reader.messages(chosen) if chosen else ()):
-                yield Record(connection.topic, connection.msgtype, time_ns, bytes(data), number)
+                # The bag brings the definitions of its own types, such as vision_msgs.
+                yield Record(connection.topic, connection.msgtype, time_ns, bytes(data), number, reader.typestore)
         except (ReaderError, AnyReaderError, OSError, ValueError, EOFError) as error:
             raise BadBag(f"{path} breaks off: {error}") from error
 

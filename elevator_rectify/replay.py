@@ -15,7 +15,7 @@ from elevator_rectify.core.config import METHODS, Config, flatten, with_values
 from elevator_rectify.progress import progress
 from elevator_rectify.report import write_report
 from elevator_rectify.ros.answer import answer_frame
-from elevator_rectify.ros.config import NodeConfig, PairingConfig
+from elevator_rectify.ros.config import DETECTION_TYPES, NodeConfig, PairingConfig
 from elevator_rectify.ros.output import TOPICS, output_messages
 from elevator_rectify.ros.pairing import Frame, Pairing
 
@@ -36,7 +36,7 @@ class InputTopics:
 _STREAM_TYPES = {
     "image": ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"),
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
-    "detections": ("geometry_msgs/msg/PoseArray",),
+    "detections": tuple(DETECTION_TYPES.values()),
 }
 
 

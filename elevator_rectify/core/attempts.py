@@ -17,8 +17,7 @@ from elevator_rectify.core.types import Array, GridFit
 
 # The first search's share of the hypotheses.
 _QUICK = 0.125
-# Of so many detections each true neighbour is a seed already; a last search would only cost time.
-_MANY = 100
+_MANY = 30
 
 
 @dataclass(frozen=True)
@@ -86,6 +85,7 @@ def _widths(config: HypothesesConfig, detections: int) -> list[tuple[HypothesesC
         seeds, refined = round(times * config.seeds), round(times * config.refined)
         return replace(config, seeds=min(1000, max(1, seeds)), refined=min(100, max(2, refined)))
 
-    widths = [(scaled(_QUICK), config.quick_confidence), (config, 0.0), (scaled(config.last_attempt), 0.0)]
-    last = config.last_attempt > 1 and detections <= _MANY
-    return widths[config.quick_confidence >= 1.0 : 3 if last else 2]
+    # The more detections, the more true neighbours there are, and the more a hypothesis costs.
+    last = config.last_attempt * min(1.0, _MANY / detections)
+    widths = [(scaled(_QUICK), config.quick_confidence), (config, 0.0), (scaled(last), 0.0)]
+    return widths[config.quick_confidence >= 1.0 : 3 if last > 1.0 else 2]

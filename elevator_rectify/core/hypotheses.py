@@ -24,27 +24,30 @@ _NEXT_NEXT, _LAST_LAST, _NEXT_LAST, _LAST_NEXT = (
     (3 * ((_I + i) % 3) + (_J + j) % 3).ravel() for i, j in ((1, 1), (2, 2), (1, 2), (2, 1))
 )
 # Cells that a triple spans to the right and down (where a button between is missing), the shear of its lower point in
-# units of its right one (the point below is missing, or its row is shifted), brick layout or not, the variant's cost.
-_Variant = tuple[tuple[float, float], float, float, float]
+# units of its right one (the point below is missing, or its row is shifted), that of its right point in units of its
+# lower one (its column is shifted: a lattice of half the row pitch holds both), brick layout or not, its cost.
+_Variant = tuple[tuple[float, float], float, float, float, float]
 _VARIANTS: tuple[_Variant, ...] = (
-    ((1.0, 1.0), 0.0, 0.0, 0.0),
-    ((2.0, 1.0), 0.0, 0.0, 0.5),
-    ((1.0, 2.0), 0.0, 0.0, 0.5),
-    ((1.0, 1.0), 0.5, 1.0, 0.5),
-    ((1.0, 1.0), -0.5, 1.0, 0.5),
+    ((1.0, 1.0), 0.0, 0.0, 0.0, 0.0),
+    ((2.0, 1.0), 0.0, 0.0, 0.0, 0.5),
+    ((1.0, 2.0), 0.0, 0.0, 0.0, 0.5),
+    ((1.0, 1.0), 0.5, 0.0, 1.0, 0.5),
+    ((1.0, 1.0), -0.5, 0.0, 1.0, 0.5),
+    ((1.0, 2.0), 0.0, 0.5, 0.0, 1.0),
+    ((1.0, 2.0), 0.0, -0.5, 0.0, 1.0),
 )
 # With few points, few triples are complete: more of them are worth a try.
 _FEW_POINTS = 16
 _MANY_POINTS = 24
 _SEED_POINTS = 1500
 _FEW_VARIANTS: tuple[_Variant, ...] = (
-    ((1.0, 1.0), 1.0, 0.0, 0.5),
-    ((1.0, 1.0), -1.0, 0.0, 0.5),
-    ((2.0, 1.0), 0.5, 0.0, 1.0),
-    ((2.0, 1.0), -0.5, 0.0, 1.0),
-    ((2.0, 1.0), 0.25, 1.0, 1.0),
-    ((2.0, 1.0), -0.25, 1.0, 1.0),
-    ((3.0, 1.0), 0.0, 0.0, 1.0),
+    ((1.0, 1.0), 1.0, 0.0, 0.0, 0.5),
+    ((1.0, 1.0), -1.0, 0.0, 0.0, 0.5),
+    ((2.0, 1.0), 0.5, 0.0, 0.0, 1.0),
+    ((2.0, 1.0), -0.5, 0.0, 0.0, 1.0),
+    ((2.0, 1.0), 0.25, 0.0, 1.0, 1.0),
+    ((2.0, 1.0), -0.25, 0.0, 1.0, 1.0),
+    ((3.0, 1.0), 0.0, 0.0, 0.0, 1.0),
 )
 
 
@@ -57,8 +60,9 @@ def grown_hypotheses(rays: Array, sigma: float, config: HypothesesConfig) -> tup
     if not len(origins):
         return np.zeros((0, 3, 3)), np.zeros(0)
     variants, costs, bricks = [], [], []
-    for spans, shear, brick_flag, cost_of_variant in _VARIANTS + (_FEW_VARIANTS if len(rays) <= _FEW_POINTS else ()):
-        variants.append(bases @ np.array([[1.0, -shear], [0.0, 1.0]]) / spans)
+    known = _VARIANTS + (_FEW_VARIANTS if len(rays) <= _FEW_POINTS else ())
+    for spans, shear, column_shear, brick_flag, cost_of_variant in known:
+        variants.append(bases @ np.array([[1.0, -shear], [-column_shear, 1.0]]) / spans)
         costs.append(np.full(len(bases), cost_of_variant))
         bricks.append(np.full(len(bases), brick_flag))
     origins, bases = np.tile(origins, (len(variants), 1)), np.concatenate(variants)

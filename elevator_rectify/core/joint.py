@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from elevator_rectify.core.coarsening import coarsened
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.hypotheses import grown_hypotheses
 from elevator_rectify.core.lattice_fit import (
@@ -153,6 +154,7 @@ def complete(fits: Scored, k: int, rays: Array, sigma: float, area: float, confi
     joint = config.joint
     fit = evaluate(fits.poses.take(np.array([k])), layout, rays, sigma, area, joint)
     fit = trimmed(fit, rays, sigma, area, joint)
+    fit = coarsened(fit, rays, sigma, area, joint)
     fit = with_extra_rows(fit, rays, sigma, area, joint)
     fit = with_extra_columns(fit, rays, sigma, area, joint)
     fit = with_gaps(fit, rays, sigma, area, joint)

@@ -26,7 +26,7 @@ from elevator_rectify.core.types import Array, IntArray
 
 _STEPS = 5
 # A step of less, in pitches and radians, is far below any noise; Gauss-Newton's next one would be its square.
-_SETTLED = 1e-4
+_SETTLED = 3e-4
 
 
 @dataclass(frozen=True)
