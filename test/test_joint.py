@@ -274,7 +274,7 @@ def test_a_lattice_as_fine_as_the_noise_is_refused() -> None:
     assert not fit.ok
 
 
-@pytest.mark.parametrize("seed", [0, 1, 4, 5, 6, 8, 9, 11])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5, 6, 8])
 def test_columns_staggered_against_each_other(seed: int) -> None:
     """Read as a regular lattice, such a panel would hang more than 25 degrees askew."""
     rng = np.random.default_rng(seed)

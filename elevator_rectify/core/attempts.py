@@ -18,6 +18,8 @@ from elevator_rectify.core.types import Array, GridFit
 # The first search's share of the hypotheses.
 _QUICK = 0.125
 _MANY = 30
+# A fit that is accepted, but no surer than this, is worth the last search too.
+_SURE = 0.9
 
 
 @dataclass(frozen=True)
@@ -87,5 +89,5 @@ def _widths(config: HypothesesConfig, detections: int) -> list[tuple[HypothesesC
 
     # The more detections, the more true neighbours there are, and the more a hypothesis costs.
     last = config.last_attempt * min(1.0, _MANY / detections)
-    widths = [(scaled(_QUICK), config.quick_confidence), (config, 0.0), (scaled(last), 0.0)]
-    return widths[config.quick_confidence >= 1.0 : 3 if last > 1.0 else 2]
+    widths = [(scaled(_QUICK), config.quick_confidence), (config, _SURE), (scaled(last), 0.0)]
+    return widths[config.quick_confidence >= 1.0 : 3 if last >= 2.0 else 2]
