@@ -30,7 +30,7 @@ def frame(stamp: int, **other: Any) -> Frame:
 def test_without_tracking_the_result_is_that_of_fit_panel_bit_for_bit() -> None:
     _, track = answer_frame(frame(1), Config())
     answer, _ = answer_frame(frame(2), Config(), node=ALONE)
-    expected = fit_panel(VIEW.centres_px, VIEW.camera, Config())
+    expected = fit_panel(list(answer.detections), VIEW.camera, Config())
     assert track is not None
     for item in fields(expected):
         np.testing.assert_array_equal(getattr(answer.fit, item.name), getattr(expected, item.name))

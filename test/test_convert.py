@@ -167,8 +167,8 @@ def test_a_binned_region_sees_the_same_rays() -> None:
     message.binning_x = message.binning_y = 2
     binned = camera_from_message(message)
     assert (binned.width, binned.height) == (200, 150)
-    inside = np.array([[10.0, 20.0], [150.0, 100.0]])
-    np.testing.assert_allclose(binned.rays(inside), full.rays(2 * inside + [100, 60]), atol=1e-9)
+    inside, corner = np.array([[10.0, 20.0], [150.0, 100.0]]), np.array([100.0, 60.0])
+    np.testing.assert_allclose(binned.rays(inside), full.rays(2 * inside + corner), atol=1e-9)
 
 
 def test_a_rectified_image_is_seen_by_the_projection_matrix() -> None:
