@@ -10,12 +10,6 @@ from elevator_rectify.core.types import Array, IntArray
 _NEAR_PITCH = 0.35
 
 
-def rotation_angle_rad(R: Array) -> float:
-    """Return the angle of a rotation matrix (3, 3), exact near zero too."""
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
-
-
 def right_cells(detections_px: Array, grid_px: Array, buttons_px: Array, true_cells: IntArray) -> float:
     """Return the share of detected true buttons whose grid cell is right relative to the others of their block.
 

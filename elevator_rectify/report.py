@@ -13,8 +13,9 @@ import numpy as np
 from elevator_rectify.bag import bag_topics, read_bag
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.draw import caption
+from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
-from elevator_rectify.evaluate import right_cells, rotation_angle_rad
+from elevator_rectify.evaluate import right_cells
 from elevator_rectify.ros.config import DETECTION_TYPES
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
 from elevator_rectify.ros.pictures import image_from_message

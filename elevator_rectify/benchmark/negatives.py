@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from elevator_rectify.core.config import Config
+from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, GridFit
-from elevator_rectify.evaluate import rotation_angle_rad
 from elevator_rectify.render.scene import paper_camera
 
 # Both lattices face the camera; noise turns the pose by less than this.

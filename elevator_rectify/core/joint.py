@@ -22,6 +22,7 @@ from elevator_rectify.core.lattice_fit import (
 )
 from elevator_rectify.core.layout import LayoutFit, evaluate, refine_layout, regular_layout
 from elevator_rectify.core.layout_search import trimmed, with_extra_columns, with_extra_rows, with_gaps
+from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.types import Array, IntArray
 
 # Poses less apart than this are one (the margin to the best other one says how ambiguous the fit is).
@@ -90,8 +91,7 @@ def turned(fit: LayoutFit, R: Array) -> LayoutFit:
 
 def pose_angle(one: LayoutFit, other: LayoutFit) -> float:
     """Return the angle between two fits' rotations."""
-    cosine = (np.trace(one.pose.R[0].T @ other.pose.R[0]) - 1.0) / 2.0
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return rotation_angle_rad(one.pose.R[0].T @ other.pose.R[0])
 
 
 def _distinct(maps: Array, brick: Array, rays: Array, sigma: float, area: float, config: Config) -> Poses | None:

@@ -34,6 +34,12 @@ class Motion:
         return H
 
 
+def rotation_angle_rad(R: Array) -> float:
+    """Return the angle of a rotation matrix (3, 3), exact near zero too."""
+    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
+
+
 def rotation(vector: Array) -> Array:
     """Return the rotation matrix (3, 3) of a rotation vector (3,) in radians."""
     return np.asarray(cv2.Rodrigues(np.asarray(vector, dtype=float))[0])
