@@ -23,8 +23,8 @@ from elevator_rectify.render.scene import paper_camera
 
 # Of standardised features, per hundred examples.
 _RIDGE = 0.06
-# In a robot's life most pictures that a detector answers show a panel, and few are as bad as the worst level.
-_WEIGHTS = {**dict.fromkeys(KINDS, 1.0), "extreme": 0.5}
+# Few pictures in a robot's life are as bad as the worst level.
+_WEIGHTS = {"extreme": 0.5}
 _CONFIG = Config()
 
 
@@ -56,7 +56,7 @@ def example(task: tuple[str, int, int]) -> Example | None:
         return None
     x = features(best.fit.best, best.fit.margin, sigma, best.result)
     if scene is None:
-        return Example(x, False, float("nan"), _WEIGHTS[kind])
+        return Example(x, False, float("nan"), _WEIGHTS.get(kind, 1.0))
     trial = judged(scene, best.result, 0.0)
     return Example(x, trial.right and trial.cells >= RIGHT_CELLS, trial.mahalanobis2, _WEIGHTS.get(kind, 1.0))
 

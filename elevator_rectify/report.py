@@ -17,7 +17,7 @@ from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.evaluate import right_cells
 from elevator_rectify.ros.config import DETECTION_TYPES
-from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
+from elevator_rectify.ros.convert import camera_from_message, detections_from_message, output_stamp_ns, stamp_ns
 from elevator_rectify.ros.pictures import image_from_message
 
 _TILE = (320, 240)
@@ -75,7 +75,7 @@ def read_outcomes(source: Path, output: Path) -> list[Outcome]:
         _take_input(outcome, record.topic, kinds[record.topic], message)
     for record in read_bag_quietly(output):
         message, topic = record.message, record.topic.removeprefix("/elevator_rectify/")
-        stamp = _output_stamp(topic, message)
+        stamp = output_stamp_ns(message)
         if stamp in outcomes:
             _take_output(outcomes[stamp], topic, message)
     return [outcomes[stamp] for stamp in sorted(outcomes) if outcomes[stamp].values]
@@ -114,17 +114,6 @@ def _take_output(outcome: Outcome, topic: str, message: Any) -> None:
         outcome.overlay = image_from_message(message)
     elif topic == "rectified/image":
         outcome.view = image_from_message(message)
-
-
-def _output_stamp(topic: str, message: Any) -> int:
-    """Return the stamp of the image that an output belongs to."""
-    if topic == "markers":
-        return stamp_ns(message.markers[0].header)
-    if topic != "status":
-        return stamp_ns(message.header)
-    text = next(pair.value for pair in message.values if pair.key == "stamp")
-    seconds, _, nanoseconds = text.partition(".")
-    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def pose_of_message(message: Any) -> tuple[Array, Array]:

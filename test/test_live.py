@@ -115,11 +115,8 @@ def test_compressed_images_come_in_and_go_out() -> None:
         rest = {name: content for name, content in frame(stamp).items() if name != "image"}
         return {"image/compressed": message, **rest}
 
-    process, harness = start(*arguments), Harness()
-    harness.node.destroy_publisher(harness.inputs.pop("image"))
-    for name, kind in inputs.items():
-        harness.advertise(name, kind)
-    try:
+    with live(*arguments, inputs=inputs) as (process, harness):
+        harness.node.destroy_publisher(harness.inputs.pop("image"))
         assert harness.until(harness.connected)
         harness.send(**compressed(1, len(data)))
         assert harness.answered(1) and harness.statuses() == ["ok"]
@@ -131,11 +128,6 @@ def test_compressed_images_come_in_and_go_out() -> None:
         harness.send(**compressed(2, 20))
         assert harness.answered(2) and "bad_input: image: data = 20 bytes" in harness.statuses()[1]
         stop(process)
-    finally:
-        harness.close()
-        if process.poll() is None:
-            process.kill()
-        process.wait()
 
 
 def test_qos_that_does_not_match_is_logged_with_both_sides_settings() -> None:

@@ -17,6 +17,7 @@ from elevator_rectify.core.types import Array, GridFit
 
 # The first search's share of the hypotheses.
 _QUICK = 0.125
+# The last search grows less with more detections than so many.
 _MANY = 30
 # A fit that is accepted, but no surer than this, is worth the last search too.
 _SURE = 0.9

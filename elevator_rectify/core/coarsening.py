@@ -8,19 +8,14 @@ import numpy as np
 
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.layout import Layout, LayoutFit, evaluate, refine_layout
-from elevator_rectify.core.layout_search import transposed
+from elevator_rectify.core.layout_search import with_columns_as_rows
 from elevator_rectify.core.types import Array
 
 
 def coarsened(fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
     """Return the fit with twice the pitch along rows or columns where that explains the detections better."""
     fit = _with_coarser_rows(fit, rays, sigma, area, config)
-    across = evaluate(transposed(fit.pose), fit.layout.transposed, rays, sigma, area, config)
-    coarser = _with_coarser_rows(across, rays, sigma, area, config)
-    if coarser is across:
-        return fit
-    back = evaluate(transposed(coarser.pose), coarser.layout.transposed, rays, sigma, area, config)
-    return back if back.log_likelihood > fit.log_likelihood else fit
+    return with_columns_as_rows(_with_coarser_rows, fit, rays, sigma, area, config)
 
 
 def _with_coarser_rows(fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from elevator_rectify.core.lattice_fit import Poses, jacobians
 from elevator_rectify.core.layout import Layout, LayoutFit, design, evaluate, information, penalty, refine_layout
 from elevator_rectify.core.types import Array
 
+_Change = Callable[[LayoutFit, Array, float, float, JointConfig], LayoutFit]
 # A distance within this of a whole pitch counts as that.
 _WHOLE = 0.06
 _MAX_EXTRA_LINES = 10
@@ -38,11 +40,18 @@ def with_extra_rows(fit: LayoutFit, rays: Array, sigma: float, area: float, conf
 
 def with_extra_columns(fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
     """Add columns as `with_extra_rows` adds rows."""
+    return with_columns_as_rows(with_extra_rows, fit, rays, sigma, area, config)
+
+
+def with_columns_as_rows(
+    change: _Change, fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig
+) -> LayoutFit:
+    """Do with the columns what `change` does with rows, where that explains the detections better."""
     across = evaluate(transposed(fit.pose), fit.layout.transposed, rays, sigma, area, config)
-    more = with_extra_rows(across, rays, sigma, area, config)
-    if more is across:
+    changed = change(across, rays, sigma, area, config)
+    if changed is across:
         return fit
-    back = evaluate(transposed(more.pose), more.layout.transposed, rays, sigma, area, config)
+    back = evaluate(transposed(changed.pose), changed.layout.transposed, rays, sigma, area, config)
     return back if back.log_likelihood > fit.log_likelihood else fit
 
 

@@ -31,9 +31,7 @@ def fit_panel(
     Never raises for what a detector may send: "no panel" is a result whose status and reason say why. Raises
     ValueError for an array of a wrong shape.
     """
-    found = _fit(detections, camera, config, previous)
-    given = tuple(d for d in detections if isinstance(d, Detection))
-    return replace(found, detections=given) if len(given) == len(detections) else found
+    return replace(_fit(detections, camera, config, previous), detections=_as_given(detections))
 
 
 def _fit(detections: Array | Sequence[Detection], camera: Camera, config: Config, previous: GridFit | None) -> GridFit:
@@ -70,12 +68,17 @@ def fit_panels(
             return fits
         cells = np.full((len(detections), 2), -1, dtype=np.int64)
         cells[left] = fit.cells
-        given = tuple(d for d in detections if isinstance(d, Detection))
-        fits.append(replace(fit, cells=cells, detections=given if len(given) == len(detections) else ()))
+        fits.append(replace(fit, cells=cells, detections=_as_given(detections)))
         taken = fit.cells[:, 0] >= 0
         if not taken.any() or len(left) - taken.sum() < config.input.min_detections:
             return fits
         left = left[~taken]
+
+
+def _as_given(detections: Array | Sequence[Detection]) -> tuple[Detection, ...]:
+    """Return a list's detections; none for an array of points."""
+    given = tuple(d for d in detections if isinstance(d, Detection))
+    return given if len(given) == len(detections) else ()
 
 
 def sigma_px(usable: Usable, camera: Camera, config: Config) -> float:

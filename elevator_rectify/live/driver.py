@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from elevator_rectify.demo import dds_environment, running
+from elevator_rectify.ros.convert import output_stamp_ns
 from elevator_rectify.ros.messages import ros_type
 
 _START_SECONDS, _SETTLE_SECONDS = 60.0, 2.0
@@ -59,7 +60,7 @@ class Driver:
         self.node.create_subscription(ros_type(kind), topic, lambda m: note(topic, m), qos, raw=not fully)
 
     def _note(self, topic: str, message: Any) -> None:
-        stamp = _stamp_ns(message)
+        stamp = output_stamp_ns(message)
         self.answers.last[topic] = message
         self.answers.arrived[topic][stamp] = time.perf_counter()
         self.messages[topic].setdefault(stamp, []).append(message)
@@ -119,14 +120,6 @@ class Driver:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
-
-
-def _stamp_ns(message: Any) -> int:
-    if hasattr(message, "header"):
-        return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
-    stamp = next((pair.value for pair in message.values if pair.key == "stamp"), "0.0")
-    seconds, _, nanoseconds = stamp.partition(".")
-    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 @contextmanager

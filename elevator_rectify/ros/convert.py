@@ -21,6 +21,17 @@ def stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
+def output_stamp_ns(message: Any) -> int:
+    """Return the stamp of the image that an output of the node belongs to; of a status it is the value `stamp`."""
+    if hasattr(message, "markers"):
+        return stamp_ns(message.markers[0].header)
+    if hasattr(message, "header"):
+        return stamp_ns(message.header)
+    text = next((pair.value for pair in message.values if pair.key == "stamp"), "0.0")
+    seconds, _, nanoseconds = text.partition(".")
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
 def camera_from_message(message: Any, topic: str = "camera_info", rectified: bool = False) -> Camera:
     """Return the camera of the image that belongs to a sensor_msgs/CameraInfo. Raises BadMessage.
 
