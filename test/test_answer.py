@@ -89,7 +89,8 @@ def test_a_depth_image_that_cannot_be_used_leaves_the_orientation() -> None:
 def test_a_compressed_image_is_decoded_only_for_a_picture() -> None:
     """Its size is not known without decoding; what cannot be decoded is refused where it is wanted."""
     message = make_ros("sensor_msgs/msg/CompressedImage", header=header(1), format="jpeg", data=np.ones(9, np.uint8))
-    assert answer_frame(frame(1, image=message), Config(), ())[0].fit.ok
+    assert answer_frame(frame(1, image=message), Config(), (), NodeConfig(measure=False))[0].fit.ok
+    assert answer_frame(frame(1, image=message), Config(), ())[0].fit.status == "bad_input"
     assert answer_frame(frame(1, image=message), Config(), ("rectified",))[0].fit.status == "bad_input"
     empty = replace(frame(1), image=make_ros("sensor_msgs/msg/CompressedImage", header=header(1)))
     assert answer_frame(empty, Config(), ())[0].fit.status == "bad_input"

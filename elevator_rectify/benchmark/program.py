@@ -8,12 +8,15 @@ from pathlib import Path
 
 import cv2
 
+from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.negatives import KINDS, run_negative, run_overlapping
 from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.plot import write_curves
 from elevator_rectify.benchmark.real import mixed, photographs
 from elevator_rectify.benchmark.synthetic import HEADER, Trial, oracle_row, run_trial, table_row, yardstick_ms
-from elevator_rectify.benchmark.timing import timing_table
+from elevator_rectify.benchmark.timing import measurement_line, timing_table
+from elevator_rectify.benchmark.turned import turned_table
 from elevator_rectify.core.config import METHODS
 from elevator_rectify.render.levels import LEVELS
 
@@ -74,7 +77,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--draws", type=int, default=1000, help="draws a kind of detections without a panel; 0: none")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
     parser.add_argument("--plot", type=Path, help="folder for the error curves as pictures")
+    parser.add_argument("--pictures", action="store_true", help="what the picture adds, on rendered and real pictures")
+    parser.add_argument("--turns", type=int, default=20, help="virtual rotations of each photograph, with --pictures")
     options = parser.parse_args(arguments)
+    if options.pictures:
+        return _pictures(options)
     if options.trials:
         print(
             synthetic_table(
@@ -90,4 +97,21 @@ def main(arguments: list[str] | None = None) -> int:
         print("\n" + photographs(options.data) + "\n\n" + mixed(options.data))
     else:
         print(f"\nreal panels skipped: there is no {options.data}/photos")
+    return 0
+
+
+def _pictures(options: argparse.Namespace) -> int:
+    """Print the tables of the fits to pictures."""
+    cv2.setNumThreads(1)
+    yardstick = yardstick_ms()
+    if options.trials:
+        print(picture_table(options.levels.split(","), options.trials, options.seed, yardstick))
+        print(measurement_line(options.seed, yardstick))
+    if options.draws:
+        print("\n" + spoilt_table(options.draws, options.seed))
+        print("\n" + few_table(options.draws, options.seed))
+    if options.turns and (options.data / "photos" / "photos.json").exists():
+        print("\n" + turned_table(options.data, options.turns))
+    else:
+        print(f"\nphotographs skipped: there is no {options.data}/photos, or no turns are asked for")
     return 0

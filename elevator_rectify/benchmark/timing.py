@@ -8,10 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.core.attempts import best_attempt
 from elevator_rectify.core.config import Config, with_values
-from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.detections import usable_detections
+from elevator_rectify.core.measured import measure
+from elevator_rectify.core.pipeline import fit_panel, sigma_px
 from elevator_rectify.render.levels import LEVELS, closest, random_view
+from elevator_rectify.render.looks import dressed, random_taking
 from elevator_rectify.render.panel import PITCH_M, regular_panel
+from elevator_rectify.render.photograph import photograph
 from elevator_rectify.render.scene import DetectorModel, Scene, make_scene, paper_camera
 
 SIZES = {10: (5, 2), 30: (10, 3), 60: (12, 5)}
@@ -52,6 +57,26 @@ def _frames(size: int, rng: np.random.Generator) -> tuple[Scene, Scene]:
         first, second = (make_scene(panel, paper_camera(), view, detector, rng) for _ in range(2))
         if closest(first.pixels) >= 10.0:
             return first, second
+
+
+def measurement_line(seed: int, yardstick: float, trials: int = 20) -> str:
+    """Return the time that measuring 30 buttons in a 640 x 480 picture adds to a fit, in yardsticks."""
+    config, camera, times = Config(), paper_camera(), []
+    for number in range(trials):
+        rng = np.random.default_rng([seed, number, 30])
+        panel = dressed(regular_panel(10, 3), rng, held_out=True)
+        scene = make_scene(panel, camera, random_view(_LEVEL, rng), DetectorModel(_LEVEL.sigma_px), rng)
+        image = photograph(scene, rng, random_taking(rng))
+        usable = usable_detections(scene.detections, camera, config.input)
+        sigma = sigma_px(usable, camera, config) / camera.focal_px
+        fit = best_attempt(usable, camera, sigma, config).fit
+        if fit is None:
+            continue
+        for _ in range(3):
+            start = time.perf_counter()
+            measure(fit.best, usable.rays, usable.sizes_px, sigma, image, camera, config)
+            times.append(1e3 * (time.perf_counter() - start) / yardstick)
+    return f"measuring 30 buttons adds {np.median(times):.1f} yardsticks, p95 {np.percentile(times, 95):.1f}"
 
 
 def timing_table(method: str, trials: int, seed: int, yardstick: float) -> str:

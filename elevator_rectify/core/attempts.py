@@ -12,8 +12,9 @@ from elevator_rectify.core.config import Config, HypothesesConfig
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.joint import JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.lattice_fit import rotations
+from elevator_rectify.core.picture_fit import with_picture
 from elevator_rectify.core.result import joint_fit, layout_of
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array, GridFit, Image
 
 # The first search's share of the hypotheses.
 _QUICK = 0.125
@@ -31,12 +32,23 @@ class Attempt:
     result: GridFit
     enough: float
 
+    @property
+    def rank(self) -> tuple[float, float, float]:
+        """Return what the best attempt has most of."""
+        likelihood = -np.inf if self.fit is None else self.fit.best.log_likelihood
+        if self.result.measurement is None:
+            return 0.0, 0.0, likelihood
+        return 1.0, self.result.confidence, likelihood
 
-def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config) -> Attempt:
-    """Return the likeliest of as many searches as are needed. sigma: of the detections, in normalised units."""
+
+def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None = None) -> Attempt:
+    """Return the best of as many searches as are needed. sigma: of the detections, in normalised units.
+
+    Without image the likeliest is the best, with image the one that it confirms most.
+    """
     best: Attempt | None = None
-    for attempt in attempts(usable, camera, sigma, config):
-        if best is None or _likelihood(attempt.fit) > _likelihood(best.fit):
+    for attempt in attempts(usable, camera, sigma, config, image):
+        if best is None or attempt.rank > best.rank:
             best = attempt
         if best.result.ok and best.result.confidence >= attempt.enough:
             break
@@ -44,7 +56,9 @@ def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config) -
     return best
 
 
-def attempts(usable: Usable, camera: Camera, sigma: float, config: Config) -> Iterator[Attempt]:
+def attempts(
+    usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None = None
+) -> Iterator[Attempt]:
     """Search, each time among more hypotheses."""
     R_upright_camera = _upright(config)
     rays = usable.rays @ R_upright_camera[:2, :2].T
@@ -54,10 +68,15 @@ def attempts(usable: Usable, camera: Camera, sigma: float, config: Config) -> It
         if fit is not None:
             other = turned(fit.other, R_upright_camera.T) if fit.other else None
             fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
-        yield Attempt(fit, joint_fit(fit, usable, camera, sigma, config), enough)
+        result = joint_fit(fit, usable, camera, sigma, config)
+        if image is not None and fit is not None:
+            result = with_picture(fit, result, usable, camera, sigma, image, config)
+        yield Attempt(fit, result, enough)
 
 
-def tracked(usable: Usable, camera: Camera, sigma: float, config: Config, previous: GridFit) -> GridFit | None:
+def tracked(
+    usable: Usable, camera: Camera, sigma: float, config: Config, previous: GridFit, image: Image | None = None
+) -> GridFit | None:
     """Return the previous fit moved to these detections, None where it does not explain them."""
     if not previous.ok or previous.method != "joint":
         return None
@@ -69,16 +88,15 @@ def tracked(usable: Usable, camera: Camera, sigma: float, config: Config, previo
     if fit is None:
         return None
     moved = JointFit(turned(fit, R_upright_camera.T), None, previous.margin_nats)
-    return joint_fit(moved, usable, camera, sigma, config)
+    result = joint_fit(moved, usable, camera, sigma, config)
+    if image is None:
+        return result
+    return with_picture(moved, result, usable, camera, sigma, image, config, tracked=previous.measurement is not None)
 
 
 def _upright(config: Config) -> Array:
     """Return the rotation to a camera turned upright, in which the panel's rows point to the right."""
     return np.asarray(rotations(np.array([[0.0, 0.0, -config.joint.camera_roll_rad]]))[0])
-
-
-def _likelihood(fit: JointFit | None) -> float:
-    return -np.inf if fit is None else fit.best.log_likelihood
 
 
 def _widths(config: HypothesesConfig, detections: int) -> list[tuple[HypothesesConfig, float]]:

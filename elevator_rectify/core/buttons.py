@@ -57,7 +57,10 @@ def _button(fit: GridFit, k: int) -> Button:
 
 
 def _size(fit: GridFit, row: int, column: int, detection: Detection) -> tuple[float, float]:
-    """Return the button's width and height: its box over the grid's own distances around its cell."""
+    """Return the button's width and height: as measured, or else its box over the distances around its cell."""
+    if fit.measurement is not None:
+        width, height = 2.0 * fit.measurement.half_size
+        return float(width), float(height)
     if not (detection.width_px > 0 and detection.height_px > 0):
         usual = _USUAL_SHARE * float(fit.pitch.min())
         return usual, usual

@@ -130,22 +130,22 @@ def features(fit: LayoutFit, margin: float, sigma: float, found: GridFit) -> Arr
 
 
 def expanded(x: Array, mean: Array, std: Array) -> Array:
-    """Return (..., F) a constant, the standardised features (..., 15) and their products two by two, bounded."""
+    """Return (..., P) a constant, the standardised features (..., F) and their products two by two, bounded."""
     # Beyond what was seen in calibration, nothing is extrapolated.
     z = np.clip((x - mean) / std, -_FARTHEST_STD, _FARTHEST_STD)
-    one, other = np.triu_indices(len(FEATURES))
+    one, other = np.triu_indices(z.shape[-1])
     return np.concatenate([np.ones((*z.shape[:-1], 1)), z, z[..., one] * z[..., other]], axis=-1)
 
 
 @cache
-def _model() -> tuple[Array, Array, Array]:
+def _model(path: Path) -> tuple[Array, Array, Array]:
     """Return the features' means and standard deviations, and the logistic model's coefficients."""
-    table = json.loads(COEFFICIENTS.read_text())
-    mean, std = np.array([table["features"][name] for name in FEATURES]).T
+    table = json.loads(path.read_text())
+    mean, std = np.array(list(table["features"].values())).T
     return mean, std, np.array(table["coefficients"])
 
 
-def logistic_confidence(x: Array) -> float:
-    """Return the probability that a fit with these features is right."""
-    mean, std, coefficients = _model()
+def logistic_confidence(x: Array, model: Path) -> float:
+    """Return the probability that a fit with these features is right, by a file that `calibrate` wrote."""
+    mean, std, coefficients = _model(model)
     return float(1.0 / (1.0 + np.exp(-np.clip(expanded(x, mean, std) @ coefficients, -30.0, 30.0))))

@@ -183,6 +183,34 @@ class NoiseConfig(Checked):
 
 
 @dataclass(frozen=True)
+class MeasurementConfig(Checked):
+    """Measurement of the buttons in the picture."""
+
+    scatter_pitch: float = value(
+        0.003, "usual standard deviation of the buttons' places on a panel, in column pitches", low=1e-4, high=0.1
+    )
+    min_seen_share: float = value(
+        0.5, "smallest share of the detected buttons that the picture must show to be used", low=0.0, high=1.0
+    )
+    covariance_scale: float = value(2.0, "factor on the covariance, from calibration", low=0.01, high=100.0)
+
+
+@dataclass(frozen=True)
+class OutlineConfig(Checked):
+    """Panels of few buttons, single rows and columns: the pose from the buttons' outlines in the picture."""
+
+    button_size_m: float = value(
+        0.0, "height of a button; 0: unknown, then lengths are in pitches or in heights", low=0.0, high=1.0
+    )
+    button_size_std_m: float = value(0.001, "its standard deviation", low=0.0, high=1.0)
+    edges: bool = value(True, "straight edges of plates and frames help to settle the pose")
+    up_x: float = value(0.0, "direction against gravity in the camera's frame, x; all 0: unknown", low=-1.0, high=1.0)
+    up_y: float = value(0.0, "y of it; -1 for an upright camera", low=-1.0, high=1.0)
+    up_z: float = value(0.0, "z of it", low=-1.0, high=1.0)
+    ambiguity_nats: float = value(6.0, "margin below which a second pose makes the fit ambiguous", low=0.0, high=100.0)
+
+
+@dataclass(frozen=True)
 class TargetConfig(Checked):
     """The button that is to be pressed."""
 
@@ -217,6 +245,8 @@ class Config:
     size: SizeConfig = field(default_factory=SizeConfig)
     accept: AcceptConfig = field(default_factory=AcceptConfig)
     scale: ScaleConfig = field(default_factory=ScaleConfig)
+    measurement: MeasurementConfig = field(default_factory=MeasurementConfig)
+    outline: OutlineConfig = field(default_factory=OutlineConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
 

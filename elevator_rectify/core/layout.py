@@ -137,13 +137,13 @@ def refine_layout(
         gradient = np.einsum("nij,ni,n->j", J, error, fit.inlier) / fit.sigma**2
         gradient[6] -= fit.pose.log_aspect[0] / config.log_aspect_std**2
         step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
-        fit = evaluate(stepped(fit.pose, step[None, :7]), _moved(fit.layout, step[7:]), rays, sigma, area, config)
+        fit = evaluate(stepped(fit.pose, step[None, :7]), moved(fit.layout, step[7:]), rays, sigma, area, config)
         if np.abs(step).max() < _SETTLED:
             break
     return fit
 
 
-def _moved(layout: Layout, steps: Array) -> Layout:
+def moved(layout: Layout, steps: Array) -> Layout:
     """Move the lines behind each break."""
     rows, columns = layout.rows.copy(), layout.columns.copy()
     bounded = np.clip(steps, -0.3, 0.3)
@@ -154,16 +154,23 @@ def _moved(layout: Layout, steps: Array) -> Layout:
     return replace(layout, rows=rows, columns=columns)
 
 
-def pose_at(fit: LayoutFit, rays: Array, node: Array, config: JointConfig) -> tuple[LatticePose, Array]:
+def pose_at(
+    fit: LayoutFit, rays: Array, node: Array, config: JointConfig, weights: Array | None = None
+) -> tuple[LatticePose, Array]:
     """Return the pose with its origin at a lattice point (2,), and the covariance (6, 6) of (t, rotation) there.
 
-    Aspect and breaks are unknown too and marginalised; `node` must lie before every break. An error of the focal length
-    scales all rays; its part is the fit's linear response to that.
+    rays: (N, 2) of what the fit's nodes were fitted to; weights: (N, 2, 2) the information of each, by default that of
+    detections. Aspect and breaks are unknown too and marginalised; `node` must lie before every break. An error of the
+    focal length scales all rays; its part is the fit's linear response to that.
     """
     _, J, _ = design(fit, rays)
-    inverse = np.linalg.inv(information(J, fit.inlier, fit.sigma, config) + 1e-9 * np.eye(J.shape[-1]))
-    pull = np.einsum("nij,ni,n->j", J, rays, fit.inlier) / fit.sigma**2
-    response = config.focal_std_share * (inverse @ pull)
+    if weights is None:
+        weights = (fit.inlier / fit.sigma**2)[:, None, None] * np.eye(2)
+    weighted = np.swapaxes(J, 1, 2) @ weights
+    normal = (weighted @ J).sum(axis=0) + 1e-9 * np.eye(J.shape[-1])
+    normal[6, 6] += 1.0 / config.log_aspect_std**2
+    inverse = np.linalg.inv(normal)
+    response = config.focal_std_share * (inverse @ (weighted @ rays[..., None]).sum(axis=0)[:, 0])
     inverse = inverse + np.outer(response, response)
     R, aspect = fit.pose.R[0], float(np.exp(fit.pose.log_aspect[0]))
     offset = (np.asarray(node) - fit.pose.centre[0]) * np.array([1.0, aspect])

@@ -11,9 +11,10 @@ from elevator_rectify.core.attempts import best_attempt, tracked
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
+from elevator_rectify.core.few_result import few_fit
 from elevator_rectify.core.paper import fit_paper
 from elevator_rectify.core.result import failed_fit, paper_fit
-from elevator_rectify.core.types import Array, Detection, GridFit
+from elevator_rectify.core.types import Array, Detection, GridFit, Image
 
 DEFAULT_CONFIG = Config()
 
@@ -23,35 +24,59 @@ def fit_panel(
     camera: Camera,
     config: Config = DEFAULT_CONFIG,
     previous: GridFit | None = None,
+    image: Image | None = None,
 ) -> GridFit:
     """Fit the button grid and the panel's pose to one image's detections.
 
     detections: (N, 2) pixels of the (distorted) image, or a list of Detection. previous: an accepted fit of the frame
     before, from which the joint method starts; where it does not explain this frame, the fit is made from scratch.
+    image: (height, width[, 3]) uint8, in which the joint method measures the buttons: several times as exact as boxes.
     Never raises for what a detector may send: "no panel" is a result whose status and reason say why. Raises
-    ValueError for an array of a wrong shape.
+    ValueError for an array of a wrong shape, or an image of another size than the camera.
     """
-    return replace(_fit(detections, camera, config, previous), detections=_as_given(detections))
+    if image is not None and (image.dtype != np.uint8 or image.shape[:2] != (camera.height, camera.width)):
+        size = f"{camera.width} x {camera.height}"
+        raise ValueError(f"image must be uint8 of the camera's {size}, not {image.dtype} of shape {image.shape}")
+    return replace(_fit(detections, camera, config, previous, image), detections=_as_given(detections))
 
 
-def _fit(detections: Array | Sequence[Detection], camera: Camera, config: Config, previous: GridFit | None) -> GridFit:
+def _fit(
+    detections: Array | Sequence[Detection],
+    camera: Camera,
+    config: Config,
+    previous: GridFit | None,
+    image: Image | None,
+) -> GridFit:
     """Run the stages in their order."""
     usable = usable_detections(detections, camera, config.input)
     if len(usable.index) < config.input.min_detections:
         reason = f"{len(usable.index)} usable detections, {config.input.min_detections} needed{_dropped(usable)}"
-        return failed_fit("too_few_detections", reason, usable, config)
+        refused = failed_fit("too_few_detections", reason, usable, config)
+        return _by_outlines(usable, camera, config, image, refused)
     sigma = sigma_px(usable, camera, config) / camera.focal_px
     if _is_line(usable.rays, 2.0 * sigma):
-        return failed_fit("collinear", "all detections lie on one line: one row or column has no pose", usable, config)
+        reason = "all detections lie on one line: one row or column has no pose by its centres"
+        refused = failed_fit("collinear", reason, usable, config)
+        return _by_outlines(usable, camera, config, image, refused)
     if config.method == "joint":
-        last = tracked(usable, camera, sigma, config, previous) if previous is not None else None
-        return last or best_attempt(usable, camera, sigma, config).result
+        last = tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
+        return last or best_attempt(usable, camera, sigma, config, image).result
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
 
 
+def _by_outlines(usable: Usable, camera: Camera, config: Config, image: Image | None, refused: GridFit) -> GridFit:
+    """Return the fit to the few buttons' outlines, where there is a picture of them."""
+    if image is None or config.method != "joint" or not len(usable.index):
+        return refused
+    return few_fit(usable, camera, config, image, refused)
+
+
 def fit_panels(
-    detections: Array | Sequence[Detection], camera: Camera, config: Config = DEFAULT_CONFIG
+    detections: Array | Sequence[Detection],
+    camera: Camera,
+    config: Config = DEFAULT_CONFIG,
+    image: Image | None = None,
 ) -> list[GridFit]:
     """Fit all panels of one image, the best supported first; each with its own status, the last one may be none.
 
@@ -61,9 +86,8 @@ def fit_panels(
     left = np.arange(len(detections))
     while True:
         subset = [detections[int(k)] for k in left]
-        fit = fit_panel(
-            subset if subset and isinstance(subset[0], Detection) else np.array(subset).reshape(-1, 2), camera, config
-        )
+        points = subset if subset and isinstance(subset[0], Detection) else np.array(subset).reshape(-1, 2)
+        fit = fit_panel(points, camera, config, image=image)
         if fits and not np.isfinite(fit.t_camera_panel).all():
             return fits
         cells = np.full((len(detections), 2), -1, dtype=np.int64)

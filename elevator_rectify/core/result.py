@@ -8,6 +8,7 @@ import numpy as np
 
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.confidence import (
+    COEFFICIENTS,
     Evidence,
     confidence,
     features,
@@ -80,24 +81,28 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
     if fit is None:
         return found
     best = _layout_result(fit.best, found, usable, camera, config)
-    score = logistic_confidence(features(fit.best, fit.margin, sigma, best))
+    score = logistic_confidence(features(fit.best, fit.margin, sigma, best), COEFFICIENTS)
     best = replace(best, confidence=score, margin_nats=fit.margin)
     if fit.other is not None and fit.margin < config.joint.ambiguity_nats:
         other = _layout_result(fit.other, found, usable, camera, config)
         reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
         return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
-    implausible = _implausible(best, fit.best, camera)
+    return judged(best, fit.best, camera, config)
+
+
+def judged(found: GridFit, fit: LayoutFit, camera: Camera, config: Config) -> GridFit:
+    """Return the fit with its status, by its plausibility, covariance and confidence."""
+    implausible = _implausible(found, fit, camera)
     if implausible:
-        return replace(best, status="no_lattice", reason=implausible)
-    spread = rotation_std_rad(best.covariance)
-    if spread > config.accept.max_rotation_std_rad:
-        reason = f"the rotation is known to {spread:.3f} rad only, {config.accept.max_rotation_std_rad:g} allowed"
-        return replace(best, status="uncertain", reason=reason)
-    if score < config.accept.min_confidence:
-        return replace(
-            best, status="low_confidence", reason=f"confidence {score:.3f} < {config.accept.min_confidence:g}"
-        )
-    return replace(best, status="ok", reason="")
+        return replace(found, status="no_lattice", reason=implausible)
+    spread, limit = rotation_std_rad(found.covariance), config.accept.max_rotation_std_rad
+    if spread > limit:
+        reason = f"the rotation is known to {spread:.3f} rad only, {limit:g} allowed"
+        return replace(found, status="uncertain", reason=reason)
+    if found.confidence < config.accept.min_confidence:
+        reason = f"confidence {found.confidence:.3f} < {config.accept.min_confidence:g}"
+        return replace(found, status="low_confidence", reason=reason)
+    return replace(found, status="ok", reason="")
 
 
 def _implausible(found: GridFit, fit: LayoutFit, camera: Camera) -> str:
@@ -112,11 +117,23 @@ def _implausible(found: GridFit, fit: LayoutFit, camera: Camera) -> str:
 
 
 def _layout_result(fit: LayoutFit, found: GridFit, usable: Usable, camera: Camera, config: Config) -> GridFit:
-    """Return the geometry of a layout fit."""
+    """Return the geometry of a fit to detections."""
+    pose, covariance = pose_at(fit, usable.rays, fit.layout.nodes[0, 0], config.joint)
+    return layout_result(fit, pose, covariance * config.accept.covariance_scale, found, usable, camera, config)
+
+
+def layout_result(
+    fit: LayoutFit,
+    pose: LatticePose,
+    covariance: Array,
+    found: GridFit,
+    usable: Usable,
+    camera: Camera,
+    config: Config,
+) -> GridFit:
+    """Return the geometry of a layout fit; pose and covariance (6, 6) are those of its first node."""
     layout = fit.layout
     origin = layout.nodes[0, 0]
-    pose, covariance = pose_at(fit, usable.rays, origin, config.joint)
-    covariance[:] *= config.accept.covariance_scale
     nodes = layout.nodes - origin
     found = with_geometry(found, Geometry(pose, nodes, fit.cells, covariance), usable, camera, config)
     error = _errors(pose, nodes, fit.cells, usable.rays)

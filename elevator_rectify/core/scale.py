@@ -84,8 +84,10 @@ def with_scale(fit: GridFit, camera: Camera, depth_m: Array, config: ScaleConfig
 
 def scaled(fit: GridFit, metres: float, std: float) -> GridFit:
     """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
+    seen = fit.measurement
     return replace(
         fit,
+        measurement=None if seen is None else replace(seen, half_size=seen.half_size * metres),
         metric=True,
         t_camera_panel=fit.t_camera_panel * metres,
         pitch=fit.pitch * metres,

@@ -58,6 +58,24 @@ class Button:
 
 
 @dataclass(frozen=True)
+class Measurement:
+    """What the picture shows of the grid's cells; NaN where it shows no button.
+
+    centre_px: (rows, columns, 2) the button's centre in the (distorted) image, covariance_px2: (rows, columns, 2, 2) of
+    it; correlation: (rows, columns) with the buttons' common look, up to 1. half_size: (2,) of a button, in the fit's
+    unit. residual, scatter: rms distance of the buttons from the lattice, and the part of it that is the panel's own,
+    in column pitches.
+    """
+
+    centre_px: Array
+    covariance_px2: Array
+    correlation: Array
+    half_size: Array
+    residual: float
+    scatter: float
+
+
+@dataclass(frozen=True)
 class GridFit:
     """The fitted grid and the panel's pose, or the reason why there is none.
 
@@ -69,7 +87,7 @@ class GridFit:
     a pitch down; row_block, column_block: number of the regular block, counted from 0, divided by gaps that are no
     whole pitch. alternatives: with status 'ambiguous', the other poses that explain the detections almost as well;
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
-    a list; `cells` has the same order.
+    a list; `cells` has the same order. measurement: of the buttons in the picture, where one was given and showed them.
     """
 
     status: str
@@ -101,6 +119,7 @@ class GridFit:
     margin_nats: float = float("inf")
     alternatives: tuple[GridFit, ...] = ()
     detections: tuple[Detection, ...] = ()
+    measurement: Measurement | None = None
 
     @property
     def ok(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,8 +89,10 @@ def random_view(level: Level, rng: np.random.Generator) -> Viewpoint:
     )
 
 
-def random_scene(level: Level, seed: int, trial: int, camera: Camera | None = None) -> Scene:
-    """Draw trial `trial`; the same arguments give the same scene.
+def random_scene(
+    level: Level, seed: int, trial: int, camera: Camera | None = None, dress: Callable[[Panel], Panel] = lambda p: p
+) -> Scene:
+    """Draw trial `trial`; the same arguments give the same scene. dress: gives the panel its look.
 
     Panels with fewer than six true detections, or with neighbours closer than 10 px, are drawn again.
     """
@@ -97,7 +100,7 @@ def random_scene(level: Level, seed: int, trial: int, camera: Camera | None = No
     camera = camera or paper_camera()
     scale = camera.width / 640.0
     while True:
-        panel, view = random_panel(level, rng), random_view(level, rng)
+        panel, view = dress(random_panel(level, rng)), random_view(level, rng)
         missed, false = rng.uniform(0, level.missed), rng.uniform(0, level.false)
         sigma_px = level.sigma_px
         if level.sigma_spread > 1.0:

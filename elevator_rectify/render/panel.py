@@ -25,10 +25,25 @@ class Button:
 
 @dataclass(frozen=True)
 class Look:
-    """Appearance: colours are BGR in 0..255."""
+    """Appearance: colours are BGR in 0..255.
 
-    round: bool = True
+    shape: of the cap; aspect: its width over its height, which is button_share of the smaller pitch; corner_share:
+    radius of the corners over the smaller half size; ring_share: width of the ring around, over the half height;
+    height_share: how far the cap stands out, over its height; label_beside: on the plate, not on the cap.
+    """
+
+    shape: str = "round"
     button_share: float = 0.62
+    aspect: float = 1.0
+    corner_share: float = 0.25
+    ring_share: float = 0.1
+    height_share: float = 0.0
+    bevel: float = 0.1
+    engraved: bool = False
+    label_beside: bool = False
+    braille: bool = False
+    font: int = 2
+    gloss: float = 0.0
     plate: tuple[int, int, int] = (176, 178, 180)
     face: tuple[int, int, int] = (196, 200, 204)
     rim: tuple[int, int, int] = (92, 94, 96)
@@ -48,6 +63,15 @@ class Panel:
     display_m: tuple[float, float, float, float] | None = None
     look: Look = Look()
     lit: frozenset[int] = frozenset()
+    offsets_m: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def placed_m(self) -> Array:
+        """Return the (M, 3) centres as manufactured: off the lattice by `offsets_m`, where given."""
+        points = self.points_m
+        if self.offsets_m:
+            points[:, :2] += np.array(self.offsets_m)
+        return points
 
     @property
     def points_m(self) -> Array:
@@ -104,10 +128,10 @@ def paper_panels() -> tuple[Panel, ...]:
     """Return five different elevators, in the manner of the paper's experiment; the last is irregular."""
     steel = Look()
     glass = Look(
-        round=False, plate=(34, 34, 36), face=(58, 58, 60), rim=(150, 150, 150), ink=(235, 235, 235), brushed=False
+        shape="square", plate=(34, 34, 36), face=(58, 58, 60), rim=(150, 150, 150), ink=(235, 235, 235), brushed=False
     )
     gold = Look(plate=(96, 150, 178), face=(120, 178, 205), rim=(50, 84, 104), wall=(64, 84, 120))
-    white = Look(round=False, plate=(150, 150, 148), face=(232, 234, 236), rim=(110, 110, 110), wall=(170, 178, 180))
+    white = Look(shape="square", plate=(150, 150, 148), face=(232, 234, 236), rim=(110, 110, 110), wall=(170, 178, 180))
     dark = Look(plate=(130, 128, 126), face=(60, 58, 56), rim=(200, 200, 200), ink=(240, 240, 240), wall=(96, 120, 132))
     panels = (
         with_display(regular_panel(6, 3, look=steel)),

@@ -9,6 +9,7 @@ import numpy as np
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.motion import rotation
 from elevator_rectify.core.types import Array, Detection, IntArray
+from elevator_rectify.render.outline import half_size_m, outline_m
 from elevator_rectify.render.panel import Panel
 
 PAPER_K = np.array([[320.0, 0.0, 320.0], [0.0, 320.0, 240.0], [0.0, 0.0, 1.0]])
@@ -86,12 +87,17 @@ def make_scene(
     panel: Panel, camera: Camera, view: Viewpoint, detector: DetectorModel, rng: np.random.Generator
 ) -> Scene:
     """Place the camera and run the detector model."""
-    R, t = camera_pose(panel, camera, view)
-    points = panel.points_m @ R.T + t
-    pixels = camera.project(points)
-    size_px = camera.focal_px * panel.look.button_share * min(panel.pitch_m) / points[:, 2]
+    return detected(panel, camera, *camera_pose(panel, camera, view), detector, rng)
+
+
+def detected(
+    panel: Panel, camera: Camera, R: Array, t: Array, detector: DetectorModel, rng: np.random.Generator
+) -> Scene:
+    """Return what the detector model makes of a panel at a pose (panel to camera)."""
+    pixels = camera.project(panel.placed_m @ R.T + t)
+    size_px = box_sizes_px(panel, camera, R, t)
     inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1)
-    found = np.flatnonzero(inside & (rng.random(len(points)) >= detector.missed))
+    found = np.flatnonzero(inside & (rng.random(len(pixels)) >= detector.missed))
     doubled = found[rng.random(len(found)) < detector.duplicates]
     button = np.concatenate([found, doubled, np.full(round(detector.false * len(found)), -1)]).astype(np.int64)
     centres = np.where((button >= 0)[:, None], pixels[button], _false_centres(pixels, len(button), camera, rng))
@@ -101,8 +107,8 @@ def make_scene(
         clutter = clutter[((clutter >= 0) & (clutter < [camera.width, camera.height])).all(axis=1)]
         centres = np.concatenate([centres, clutter + rng.normal(0.0, detector.sigma_px, clutter.shape)])
         button = np.concatenate([button, np.full(len(clutter), -1)]).astype(np.int64)
-    sizes = np.where(button >= 0, size_px[button], rng.choice(size_px, len(button)))
-    boxes = sizes[:, None] * np.exp(rng.normal(0.0, 0.06, (len(button), 2)))
+    sizes = np.where((button >= 0)[:, None], size_px[button], rng.choice(size_px, len(button)))
+    boxes = sizes * np.exp(rng.normal(0.0, 0.06, (len(button), 2)))
     scores = np.clip(
         np.where(button >= 0, rng.normal(0.88, 0.07, len(button)), rng.normal(0.55, 0.15, len(button))), 0.05, 0.99
     )
@@ -120,6 +126,15 @@ def make_scene(
         for n in order
     )
     return Scene(panel, camera, R, t, pixels, detections, button[order], detector)
+
+
+def box_sizes_px(panel: Panel, camera: Camera, R: Array, t: Array) -> Array:
+    """Return width and height (M, 2) of the boxes around the caps, as they are seen."""
+    outline = outline_m(panel.look, panel.pitch_m)
+    height = panel.look.height_share * 2.0 * half_size_m(panel.look, panel.pitch_m)[1]
+    shape = np.concatenate([np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, -height)])
+    pixels = camera.project((panel.placed_m[:, None] + shape) @ R.T + t)
+    return np.asarray(np.ptp(np.nan_to_num(pixels), axis=1))
 
 
 def _clutter_points(panel: Panel, rng: np.random.Generator) -> Array:

@@ -75,18 +75,19 @@ def answer_frame(
 ) -> tuple[Answer, Track | None]:
     """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
 
-    wanted: which pictures to make, of 'rectified' and 'overlay'; without any, the image is checked but not converted.
+    wanted: which pictures to make, of 'rectified' and 'overlay'; without any, and with nothing to measure in it, the
+    image is checked but not converted.
     track: of the frames before, where `node.track` is on; the new one is returned. target: label of the button that is
     to be pressed, '' for none.
     """
     watch = Stopwatch()
     try:
-        given = inputs(frame, node, bool(wanted))
+        given = inputs(frame, node, bool(wanted) or node.measure)
     except BadMessage as error:
         bad = GridFit(status="bad_input", reason=str(error), method=config.method)
         return Answer(frame.image.header, bad, stopwatch=watch), track
     watch.lap("convert")
-    fit, scale = _fit(given, config, track)
+    fit, scale = _fit(given, config, track, node.measure)
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
     watch.lap("fit")
@@ -127,15 +128,19 @@ def _depth(message: Any) -> Array | str | None:
         return str(error)
 
 
-def _fit(given: Inputs, config: Config, track: Track | None) -> tuple[GridFit, str]:
+def _fit(given: Inputs, config: Config, track: Track | None, measure: bool) -> tuple[GridFit, str]:
     """Return the fit, and where its metric scale is from."""
-    previous = track.fit if track is not None else None
+    previous, image = track.fit if track is not None else None, given.image if measure else None
     if given.depth is None or isinstance(given.depth, str):
-        fit = fit_panel(given.detections, given.camera, config, previous)
+        fit = fit_panel(given.detections, given.camera, config, previous, image)
         return fit, ("column pitch" if fit.metric else "unknown") + (f": {given.depth}" if given.depth else "")
     in_pitches = replace(config, scale=replace(config.scale, column_pitch_m=0.0))
-    fit = fit_panel(given.detections, given.camera, in_pitches, previous)
-    return with_scale(fit, given.camera, given.depth, config.scale) if fit.ok else (fit, "unknown")
+    fit = fit_panel(given.detections, given.camera, in_pitches, previous, image)
+    if fit.metric or not fit.ok:
+        return fit, "button size" if fit.metric else "unknown"
+    # The pitch of a single column is not that of the columns.
+    pitch_m = config.scale.column_pitch_m if fit.columns > 1 else 0.0
+    return with_scale(fit, given.camera, given.depth, replace(config.scale, column_pitch_m=pitch_m))
 
 
 def _finite_centres(detections: list[Detection]) -> Array:

@@ -154,6 +154,7 @@ def status_message(answer: Answer, make: Make) -> Any:
     """Return the frame's verdict with its figures, all of them named."""
     fit = answer.fit
     level = b"\x00" if fit.ok else b"\x02" if fit.status == "bad_input" else b"\x01"
+    seen = 0 if fit.measurement is None else int(np.isfinite(fit.measurement.correlation).sum())
     values = {
         "stamp": f"{answer.header.stamp.sec}.{answer.header.stamp.nanosec:09d}",
         "status": fit.status,
@@ -166,6 +167,8 @@ def status_message(answer: Answer, make: Make) -> Any:
         "target_reason": "" if answer.choice is None else answer.choice.reason,
         "detections": str(len(answer.detections)),
         "inliers": str(fit.inliers),
+        "measured": str(seen),
+        "residual_pitch": "" if fit.measurement is None else f"{fit.measurement.residual:.5f}",
         "rows": str(fit.rows),
         "columns": str(fit.columns),
         "rms_px": f"{fit.rms_px:.4f}",

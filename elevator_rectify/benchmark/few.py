@@ -1,0 +1,64 @@
+"""External panels of one to three buttons: the error of the normal by the outlines, with and without straight edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.benchmark.pictures import few_pictured
+from elevator_rectify.core.config import Config, with_values
+from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.types import Array, GridFit
+
+_WRONG_DEG = 4.0
+_SHAPES = ("round", "square")
+
+
+@dataclass(frozen=True)
+class FewTrial:
+    """Errors of the normal in degrees, of the best pose and of the better of two; 180 where there is none."""
+
+    error_deg: float
+    better_deg: float
+    status: str
+
+
+def run_few(task: tuple[str, int, int, int, bool]) -> FewTrial:
+    """Fit one panel: (shape, buttons, seed, number, with straight edges)."""
+    shape, buttons, seed, number, edges = task
+    scene, image = few_pictured(shape, buttons, seed, number, held_out=True)
+    fit = fit_panel(scene.detections, scene.camera, with_values(Config(), {"outline.edges": edges}), image=image)
+    errors = [_error_deg(f, scene.R_camera_panel[:, 2]) for f in (fit, *fit.alternatives)]
+    return FewTrial(errors[0], min(errors), fit.status)
+
+
+def _error_deg(fit: GridFit, normal: Array) -> float:
+    if not np.isfinite(fit.R_camera_panel).all():
+        return 180.0
+    return float(np.rad2deg(np.arccos(np.clip(fit.R_camera_panel[:, 2] @ normal, -1.0, 1.0))))
+
+
+def few_table(trials: int, seed: int) -> str:
+    """Return the table of held-out looks."""
+    lines = [
+        f"{'buttons':<10}{'edges':>6}{'med deg':>9}{'< 3 deg':>9}{'better of two':>15}{'accept':>8}{'ambiguous':>11}"
+        f"{'accepted and > 4 deg':>22}"
+    ]
+    for edges in (False, True):
+        for shape in _SHAPES:
+            for buttons in (1, 2, 3):
+                tasks = [(shape, buttons, seed, n, edges) for n in range(trials)]
+                results = parallel(run_few, tasks, f"{buttons} {shape}")
+                error = np.array([r.error_deg for r in results])
+                better = np.median([r.better_deg for r in results])
+                accepted = np.array([r.status == "ok" for r in results])
+                wrong = accepted & (error > _WRONG_DEG)
+                ambiguous = np.mean([r.status == "ambiguous" for r in results])
+                lines.append(
+                    f"{buttons} {shape:<8}{'with' if edges else 'no':>6}{np.median(error):>9.2f}"
+                    f"{np.mean(error < 3):>9.2f}{better:>15.2f}{accepted.mean():>8.2f}{ambiguous:>11.2f}"
+                    f"{100.0 * wrong.mean():>20.2f} %"
+                )
+    return "\n".join(lines)

@@ -1,0 +1,180 @@
+"""From outlines to the result that users get: the panel of few buttons, its pose, grid and status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.confidence import logistic_confidence
+from elevator_rectify.core.config import Config
+from elevator_rectify.core.detections import Usable
+from elevator_rectify.core.few import FewFit, fit_few
+from elevator_rectify.core.lattice_fit import rotations
+from elevator_rectify.core.outlines import OutlineFit
+from elevator_rectify.core.pose import LatticePose
+from elevator_rectify.core.result import Geometry, with_geometry
+from elevator_rectify.core.straight_edges import Segments, segments_of, sharpened
+from elevator_rectify.core.types import Array, GridFit, Image, IntArray, Measurement
+
+METHOD = "outlines"
+# Written by `python3 -m elevator_rectify calibrate --outlines`.
+COEFFICIENTS = Path(__file__).with_name("outline_confidence.json")
+FEATURES = ("margin", "seen share", "ln residual px", "ln tilt std", "buttons", "round", "tilt", "cost a point")
+_MARGIN_NATS = 20.0
+_LEAST_SEEN, _LARGEST_RESIDUAL_PX = 0.6, 2.0
+# What a circle says of its turn in the plane: nothing; cameras are held upright to this.
+_UPRIGHT_STD_RAD = 0.1
+_CENTRE_STD_PX = 0.5
+# Buttons on one line are no further off it, in heights.
+_SAME_LINE = 0.5
+
+
+def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refused: GridFit) -> GridFit:
+    """Return the pose from the buttons' outlines; `refused`, the result without, where the picture shows none."""
+    boxes = np.column_stack([camera.pixels(usable.rays), usable.sizes_px])
+    if not (usable.sizes_px > 0).all():
+        return replace(refused, reason=f"{refused.reason}; boxes without sizes show no outlines")
+    found = fit_few(boxes, image, camera, config)
+    if found is None or not _shown(found.best):
+        return replace(refused, reason=f"{refused.reason}; the picture shows no outlines")
+    shortest = 0.8 * float(usable.sizes_px.mean())
+    segments = segments_of(image, camera, shortest) if config.outline.edges else Segments(np.zeros((0, 3)), np.zeros(0))
+    result = _result(found.best, usable, segments, refused, camera, config)
+    score = logistic_confidence(few_features(found), COEFFICIENTS)
+    result = replace(result, confidence=score, margin_nats=found.margin)
+    if found.other is not None and found.margin < config.outline.ambiguity_nats:
+        other = _result(found.other, usable, segments, refused, camera, config)
+        reason = f"two poses explain the outlines, {found.margin:.2g} nats apart"
+        return replace(result, status="ambiguous", reason=reason, alternatives=(other,))
+    return _judged(result, config)
+
+
+def _shown(fit: OutlineFit) -> bool:
+    return fit.seen >= _LEAST_SEEN and fit.residual_px <= _LARGEST_RESIDUAL_PX
+
+
+def _judged(result: GridFit, config: Config) -> GridFit:
+    """Return the result with its status, by its tilt's covariance and its confidence."""
+    tilt = result.R_camera_panel[:, :2]
+    spread = float(np.sqrt(np.linalg.eigvalsh(tilt.T @ result.covariance[3:, 3:] @ tilt)[-1]))
+    if spread > config.accept.max_rotation_std_rad:
+        reason = f"the tilt is known to {spread:.3f} rad only, {config.accept.max_rotation_std_rad:g} allowed"
+        return replace(result, status="uncertain", reason=reason)
+    if result.confidence < config.accept.min_confidence:
+        reason = f"confidence {result.confidence:.3f} < {config.accept.min_confidence:g}"
+        return replace(result, status="low_confidence", reason=reason)
+    return replace(result, status="ok", reason="")
+
+
+def few_features(found: FewFit) -> Array:
+    """Return what the confidence of a fit to outlines is computed from, in the order of FEATURES."""
+    fit = found.best
+    number = float(len(fit.model.centres))
+    return np.array(
+        [
+            min(found.margin, _MARGIN_NATS) / _MARGIN_NATS,
+            fit.seen,
+            np.log(np.clip(fit.residual_px, 0.05, 5.0)),
+            0.5 * np.log(np.clip(np.linalg.eigvalsh(_tilt_covariance(fit))[-1], 1e-8, 9.0)),
+            number,
+            float(fit.model.round),
+            np.arccos(min(1.0, abs(fit.model.R[2, 2]))),
+            fit.cost / number,
+        ]
+    )
+
+
+def _tilt_covariance(fit: OutlineFit) -> Array:
+    """Return the covariance (2, 2) of the tilt about the plane's axes."""
+    regular = fit.information + 1e-9 * np.diag(np.diag(fit.information)) + 1e-12 * np.eye(len(fit.information))
+    return np.asarray(np.linalg.inv(regular)[:2, :2])
+
+
+def _result(
+    fit: OutlineFit, usable: Usable, segments: Segments, refused: GridFit, camera: Camera, config: Config
+) -> GridFit:
+    """Return pose, covariance and grid."""
+    model = fit.model
+    R, turn_std = _turned(model.R, usable, model.origin, camera)
+    height = 2.0 * float(model.half[-1])
+    axes = R.copy()
+    covariance = axes[:, :2] @ _tilt_covariance(fit) @ axes[:, :2].T + turn_std**2 * np.outer(axes[:, 2], axes[:, 2])
+    covariance = covariance * config.accept.covariance_scale
+    if len(segments.normal):
+        R, covariance = sharpened(R, covariance, segments)
+    plane = _on_plane(R, model.origin, usable.rays)
+    rows, row = _lines(plane[:, 1], height)
+    columns, column = _lines(plane[:, 0], height)
+    pitch, aspect = _pitch(rows, columns, height)
+    size = config.outline.button_size_m
+    scale = replace(config.scale, column_pitch_m=config.scale.column_pitch_m if len(columns) > 1 else 0.0)
+    if size > 0:
+        std = config.outline.button_size_std_m * pitch / height
+        scale = replace(scale, column_pitch_m=size * pitch / height, column_pitch_std_m=std)
+    nodes = np.stack(np.meshgrid((columns - columns[0]) / pitch, (rows - rows[0]) / (pitch * aspect)), axis=-1)
+    t = (model.origin + R[:, :2] @ np.array([columns[0], rows[0]])) / pitch
+    whole = np.zeros((6, 6))
+    whole[:3, :3] = (_CENTRE_STD_PX / camera.focal_px * t[2]) ** 2 * np.eye(3) + _size_std(fit) ** 2 * np.outer(t, t)
+    whole[3:, 3:] = covariance
+    geometry = Geometry(LatticePose(R, t, aspect), nodes, np.column_stack([row, column]), whole)
+    result = with_geometry(
+        replace(refused, status="ok", reason=""), geometry, usable, camera, replace(config, scale=scale)
+    )
+    seen = np.full((len(rows), len(columns)), fit.seen)
+    half = model.half / pitch * result.pitch[0]
+    nothing = np.full((len(rows), len(columns), 2, 2), np.nan)
+    measurement = Measurement(result.grid_px, nothing, seen, half, fit.residual_px / camera.focal_px / pitch, 0.0)
+    return replace(
+        result,
+        method=METHOD,
+        converged=True,
+        row_positions=nodes[:, 0, 1],
+        column_positions=nodes[0, :, 0],
+        measurement=measurement,
+    )
+
+
+def _size_std(fit: OutlineFit) -> float:
+    """Return the standard deviation of ln size, by which distances are known."""
+    index = 2 + fit.model.centres.size
+    regular = fit.information + 1e-9 * np.diag(np.diag(fit.information)) + 1e-12 * np.eye(len(fit.information))
+    return float(np.sqrt(max(0.0, np.linalg.inv(regular)[index, index])))
+
+
+def _turned(R: Array, usable: Usable, origin: Array, camera: Camera) -> tuple[Array, float]:
+    """Return the rotation with its axes along the buttons' line, where there are two, and the turn's deviation."""
+    plane = _on_plane(R, origin, usable.rays)
+    if len(plane) < 2:
+        return R, _UPRIGHT_STD_RAD
+    spread = plane - plane.mean(axis=0)
+    along = np.linalg.svd(spread)[2][0]
+    angle = np.arctan2(along[1], along[0])
+    # The line is a row or a column, whichever is nearer.
+    angle -= np.pi / 2 * np.round(angle / (np.pi / 2))
+    length = float(np.linalg.norm(spread @ along))
+    return R @ rotations(np.array([[0.0, 0.0, angle]]))[0], float(1.5 * _CENTRE_STD_PX / camera.focal_px / length)
+
+
+def _on_plane(R: Array, origin: Array, rays: Array) -> Array:
+    """Return where rays (N, 2) meet the plane, (N, 2) in its own axes."""
+    lines = np.column_stack([rays, np.ones(len(rays))])
+    points = lines * ((R[:, 2] @ origin) / (lines @ R[:, 2]))[:, None]
+    return np.asarray((points - origin) @ R[:, :2])
+
+
+def _lines(coordinate: Array, height: float) -> tuple[Array, IntArray]:
+    """Return the lines' places, ascending, and the line of each button."""
+    order = np.argsort(coordinate, kind="stable")
+    line = np.zeros(len(order), dtype=np.int64)
+    line[order] = np.concatenate([[0], np.cumsum(np.diff(coordinate[order]) > _SAME_LINE * height)])
+    return np.array([coordinate[line == k].mean() for k in range(line.max() + 1)]), line
+
+
+def _pitch(rows: Array, columns: Array, height: float) -> tuple[float, float]:
+    """Return the column pitch and the row pitch over it; the one that there is for both, a button's height for none."""
+    known = [float(np.median(np.diff(lines))) if len(lines) > 1 else 0.0 for lines in (columns, rows)]
+    across = known[0] or known[1] or height
+    return across, (known[1] or across) / across

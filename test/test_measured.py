@@ -1,0 +1,130 @@
+"""The buttons in the picture: alignment, the pose fitted to it, and pictures that must not mislead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from elevator_rectify.benchmark.pictures import SPOILT, pictured
+from elevator_rectify.core import Camera, Config, fit_panel
+from elevator_rectify.core.motion import rotation_angle_rad
+from elevator_rectify.core.patches import Window, picture_of, sample
+from elevator_rectify.core.template import align, make_template, symmetry_centre
+from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.evaluate import cells_right
+from elevator_rectify.render.scene import Scene, paper_camera
+
+_N = 33
+
+
+def _ring(shift: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
+    """Return a blurred ring of radius 9 samples (n, n), moved by (column, row)."""
+    at = np.arange(_N) - (_N - 1) / 2
+    u, v = np.meshgrid(at - shift[0], at - shift[1])
+    return np.asarray(gain * np.exp(-0.5 * ((np.hypot(u, v) - 9.0) / 1.5) ** 2) + offset, dtype=np.float32)
+
+
+def _error_rad(scene: Scene, fit: GridFit) -> float:
+    return rotation_angle_rad(fit.R_camera_panel.T @ scene.R_camera_panel)
+
+
+def test_alignment_finds_shifts_whatever_gain_and_offset() -> None:
+    shifts = np.random.default_rng(3).uniform(-1.0, 1.0, (12, 2))
+    shifts -= np.median(shifts, axis=0)
+    patches = np.stack([_ring(s, 0.5 + 0.1 * k, 0.1 * k) for k, s in enumerate(shifts)])
+    inside = np.ones(patches.shape, dtype=bool)
+    template = make_template(np.stack([_ring(np.zeros(2))] * 5), inside[:5], 0.7, 1.5)
+    found = align(template, patches, inside)
+    # One linear step: its error is of third order in the shift over the blur; differences widen the gradient.
+    np.testing.assert_allclose(found.shift, shifts, atol=0.25)
+    near = align(template, np.stack([_ring(s) for s in 0.2 * shifts]), inside)
+    np.testing.assert_allclose(near.shift, 0.2 * shifts, atol=0.02)
+    assert (found.correlation > 0.7).all()
+
+
+def test_symmetry_finds_the_centre_that_alignment_alone_cannot() -> None:
+    for centre in np.array([[0.0, 0.0], [0.8, -0.5], [-1.5, 1.0]]):
+        look = _ring(centre)
+        template = make_template(np.stack([look] * 5), np.ones((5, _N, _N), dtype=bool), 0.7, 1.5)
+        np.testing.assert_allclose(symmetry_centre(template), centre, atol=0.05)
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.25, 0.08, 0.001, -0.001, 0.0)])
+def test_patches_are_sampled_where_the_camera_sees_them(distortion: tuple[float, ...]) -> None:
+    camera = Camera.from_matrix([[400, 0, 320], [0, 400, 240], [0, 0, 1]], 640, 480, distortion)
+    ramp = np.tile(np.linspace(0, 255, 640).round().astype(np.uint8), (480, 1))
+    tilt = np.deg2rad(50.0)
+    G = np.column_stack([[np.cos(tilt), 0.0, np.sin(tilt)], [0.0, 1.0, 0.0], [0.3, 0.1, 6.0]])
+    nodes, window = np.array([[0.0, 0.0], [2.0, 1.0], [-1.0, -1.0]]), Window(np.array([0.5, 0.5]), 21)
+    patches, inside = sample(picture_of(ramp, camera), G, nodes, window)
+    along = np.linspace(-0.5, 0.5, 21)
+    lattice = nodes[:, None, None] + np.stack(np.meshgrid(along, along), axis=-1)
+    pixels = camera.project(lattice @ G[:, :2].T + G[:, 2])
+    assert inside.all()
+    # Grey values are rounded twice; 255 of them lie over 640 pixels.
+    np.testing.assert_allclose(patches, pixels[..., 0] * 255 / 639, atol=1.1)
+
+
+def test_the_picture_makes_the_pose_several_times_as_exact() -> None:
+    by_boxes, by_picture = [], []
+    for number in range(6):
+        given = pictured("medium", 501, number, held_out=True)
+        boxes = fit_panel(given.scene.detections, given.scene.camera)
+        fit = fit_panel(given.scene.detections, given.scene.camera, image=given.image)
+        if boxes.ok and fit.ok:
+            by_boxes.append(_error_rad(given.scene, boxes))
+            by_picture.append(_error_rad(given.scene, fit))
+            assert fit.measurement is not None and boxes.measurement is None
+    assert len(by_picture) >= 4
+    assert np.median(by_picture) < 0.5 * np.median(by_boxes)
+    assert max(by_picture) < np.deg2rad(2.0)
+
+
+def test_order_and_grey_do_not_matter() -> None:
+    given = pictured("easy", 502, 1)
+    detections = list(given.scene.detections)
+    one = fit_panel(detections, given.scene.camera, image=given.image)
+    other = fit_panel(detections[::-1], given.scene.camera, image=given.image)
+    np.testing.assert_allclose(one.R_camera_panel, other.R_camera_panel, atol=1e-9)
+    np.testing.assert_array_equal(one.cells, other.cells[::-1])
+    assert one.measurement is not None
+    assert one.measurement.centre_px.shape == (one.rows, one.columns, 2)
+
+
+def test_buttons_that_the_detector_missed_are_shown() -> None:
+    given = pictured("easy", 503, 2)
+    scene, kept = given.scene, [k for k in range(len(given.scene.detections)) if k % 6]
+    fit = fit_panel([scene.detections[k] for k in kept], scene.camera, image=given.image)
+    assert fit.ok and fit.measurement is not None
+    gone = scene.pixels[scene.button[[k for k in range(len(scene.detections)) if not k % 6]]]
+    inside = ((gone > 12) & (gone < [628, 468])).all(axis=1)
+    distance = np.linalg.norm(fit.measurement.centre_px.reshape(-1, 1, 2) - gone[inside], axis=-1)
+    assert np.nanmin(distance, axis=0).max() < 3.0
+
+
+@pytest.mark.parametrize("kind", SPOILT)
+def test_a_bad_picture_makes_no_right_fit_wrong(kind: str) -> None:
+    for number in range(3):
+        given = pictured("easy", 504, number)
+        image = given.image if kind != "other" else pictured("easy", 504, number + 50).image
+        spoilt = SPOILT[kind](image, np.random.default_rng(number))
+        fit = fit_panel(given.scene.detections, given.scene.camera, image=spoilt)
+        if fit.ok:
+            real = given.scene.button >= 0
+            button, panel = given.scene.button[real], given.scene.panel
+            assert cells_right(fit.cells[real], panel.cells[button], panel.blocks[button]) >= 0.95
+            assert _error_rad(given.scene, fit) < np.deg2rad(4.0)
+
+
+def test_a_black_picture_leaves_the_fit_to_the_boxes() -> None:
+    given = pictured("easy", 505, 0)
+    boxes = fit_panel(given.scene.detections, given.scene.camera)
+    black = fit_panel(given.scene.detections, given.scene.camera, image=np.zeros_like(given.image))
+    assert black.measurement is None
+    np.testing.assert_array_equal(black.R_camera_panel, boxes.R_camera_panel)
+
+
+@pytest.mark.parametrize("image", [np.zeros((10, 10), np.uint8), np.zeros((480, 640), float)])
+def test_an_image_of_another_kind_is_refused(image: Array) -> None:
+    with pytest.raises(ValueError, match="image must be uint8"):
+        fit_panel(np.zeros((8, 2)), paper_camera(), Config(), image=image)
