@@ -7,14 +7,14 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from elevator_rectify.benchmark.negatives import KINDS
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.benchmark.pictures import Pictured, few_pictured, pictured
+from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
 from elevator_rectify.core import confidence, few, few_result, picture_fit
 from elevator_rectify.core.attempts import attempts, best_attempt
@@ -31,7 +31,9 @@ _RIDGE = 0.06
 # Few pictures in a robot's life are as bad as the worst level.
 _WEIGHTS = {"extreme": 0.5}
 _LEVELS = ("easy", "medium", "hard", "extreme", "gaps", *4 * ["wild"])
-_PICTURE_LEVELS = ("easy", "medium", "hard", "hard", "hard", "gaps", *3 * ["wild"], "swapped")
+_PICTURE_LEVELS = ("easy", "medium", "hard", "hard", "hard", "gaps", *5 * ["wild"], "swapped")
+# Pictures spoilt in these ways, of panels of the level hard.
+_SPOILT = ("blurred", "noisy", "hand", "overexposed", "shifted")
 # With pictures, a rotation further off than this is wrong.
 _RIGHT_DEG = 2.0
 _RIGHT_OUTLINE_DEG = 4.0
@@ -76,10 +78,13 @@ def examples(task: tuple[str, int, int]) -> list[Example]:
 def picture_examples(task: tuple[str, int, int]) -> list[Example]:
     """Return the examples of one picture: every search's fit, right or wrong.
 
-    'swapped' shows the detections of one scene in the picture of another; kinds of negatives are shown in any picture.
+    'swapped' shows the detections of one scene in the picture of another; negatives are shown in any picture; others
+    are spoilt pictures.
     """
     kind, seed, number = task
-    given = pictured(kind if kind in LEVELS else "medium", seed, number)
+    given = pictured(kind if kind in LEVELS else "hard" if kind in _SPOILT else "medium", seed, number)
+    if kind in _SPOILT:
+        given = replace(given, image=SPOILT[kind](given.image, np.random.default_rng([seed, number])))
     scene: Scene | None = given.scene
     detections: Sequence[Detection] = given.scene.detections
     if kind == "swapped":
@@ -105,7 +110,7 @@ def _searched(given: Pictured, scene: Scene | None, usable: Usable, weight: floa
         fit = picture_fit.picture_fit(attempt.fit, attempt.result, usable, camera, sigma, given.image, _CONFIG)
         if fit is None or not np.isfinite(fit.result.covariance).all():
             continue
-        x, right, d2 = picture_fit.picture_features(fit, attempt.result), False, float("nan")
+        x, right, d2 = picture_fit.picture_features(fit, attempt.result, usable, sigma), False, float("nan")
         if scene is not None:
             trial = judged(scene, fit.result, 0.0)
             right, d2 = trial.error_deg <= _RIGHT_DEG and trial.cells >= RIGHT_CELLS, trial.mahalanobis2
@@ -174,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
     names: tuple[str, ...] = confidence.FEATURES
     path = confidence.COEFFICIENTS
     if options.pictures:
-        function, kinds, usual = picture_examples, (*_PICTURE_LEVELS, *KINDS), 200
+        function, kinds, usual = picture_examples, (*_PICTURE_LEVELS, *_SPOILT, *KINDS), 200
         names, path = picture_fit.FEATURES, picture_fit.COEFFICIENTS
     if options.outlines:
         function, kinds, usual = outline_examples, _FEW, 200

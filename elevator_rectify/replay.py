@@ -8,14 +8,16 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from elevator_rectify.bag import BadBag, BagWriter, Record, bag_topics, bag_writer, make_bag_message, read_bag
 from elevator_rectify.core.config import METHODS, Config, flatten, with_values
+from elevator_rectify.core.text_grid import LEGEND, text_grid
 from elevator_rectify.progress import progress
 from elevator_rectify.report import write_report
-from elevator_rectify.ros.answer import answer_frame
+from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.config import DETECTION_TYPES, NodeConfig, PairingConfig
+from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.output import TOPICS, output_messages
 from elevator_rectify.ros.pairing import Frame, Pairing
 
@@ -74,8 +76,10 @@ def paired_frames(records: Iterator[Record], topics: InputTopics, pairing: Pairi
             yield frame, record.time_ns
 
 
-def replay(path: Path, output: Path, topics: InputTopics, config: Config) -> Counter[str]:
+def replay(path: Path, output: Path, topics: InputTopics, config: Config, grids: TextIO | None = None) -> Counter[str]:
     """Answer every frame of the bag into a new bag; return the counts of statuses and drops.
+
+    grids: where the accepted panels are written as text, each under its image's stamp in ns.
 
     Raises BadBag where the input breaks off; all answers until there are written.
     """
@@ -86,19 +90,22 @@ def replay(path: Path, output: Path, topics: InputTopics, config: Config) -> Cou
         with bag_writer(output) as bag:
             frames = paired_frames(read_bag(path, wanted), topics, pairing)
             for frame, time_ns in progress(frames, f"replay {config.method}", number):
-                counts[_answer_into(bag, frame, config, time_ns)] += 1
+                answer = _answer_into(bag, frame, config, time_ns)
+                counts[answer.fit.status] += 1
+                if grids is not None and answer.fit.ok:
+                    print(f"{stamp_ns(answer.header)}\n{text_grid(answer.buttons)}\n", file=grids)
     finally:
         counts += pairing.dropped + pairing.waiting()
         print(f"{config.method}: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
     return counts
 
 
-def _answer_into(bag: BagWriter, frame: Frame, config: Config, time_ns: int) -> str:
-    """Write everything that the node would publish for the frame; return the status."""
+def _answer_into(bag: BagWriter, frame: Frame, config: Config, time_ns: int) -> Answer:
+    """Write everything that the node would publish for the frame; return the answer."""
     answer, _ = answer_frame(frame, config, node=_SINGLE_IMAGES)
     for topic, message in output_messages(answer, make_bag_message, TOPICS.__contains__):
         bag.write(OUTPUT_PREFIX + topic, TOPICS[topic], message, time_ns)
-    return answer.fit.status
+    return answer
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -140,8 +147,12 @@ def main(arguments: list[str] | None = None) -> int:
     code, outputs = 0, {}
     for method, config in configs.items():
         outputs[method] = _free_folder(options.output / method)
+        options.output.mkdir(parents=True, exist_ok=True)
         try:
-            replay(options.bag, outputs[method], topics, config)
+            with (options.output / f"panels_{method}.txt").open("w") as grids:
+                print(LEGEND + "\n", file=grids)
+                replay(options.bag, outputs[method], topics, config, grids)
+            print(f"panels:   {options.output / f'panels_{method}.txt'}")
         except BadBag as error:
             print(f"replay: {error}", file=sys.stderr)
             code = 1

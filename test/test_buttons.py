@@ -94,7 +94,7 @@ def refusals() -> Sequence[tuple[str, GridFit, str]]:
         ("\x01\x02", plain, "empty_target"),
         ("99", plain, "unknown_label"),
         ("open", plain, "unknown_label"),
-        ("7", fitted({0: "7"}), "two_candidates"),
+        ("X", fitted({k: "X" if k < 2 else chr(65 + k) for k in range(18)}), "two_candidates"),
         ("7", fitted({}, {int(k): 0.3 for k in range(18)}), "low_score"),
         ("7", fitted({}, {int(k): float("nan") for k in range(18)}), "no_panel"),
         ("7", fit_panel(labelled({}), VIEW.camera), "unknown_scale"),

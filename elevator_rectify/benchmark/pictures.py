@@ -16,7 +16,7 @@ from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, GridFit, Image
 from elevator_rectify.render.few import few_scene
 from elevator_rectify.render.levels import LEVELS, random_scene
-from elevator_rectify.render.looks import dressed, random_taking
+from elevator_rectify.render.looks import SCATTER_SHARE, dressed, random_taking
 from elevator_rectify.render.photograph import photograph
 from elevator_rectify.render.scene import Scene
 
@@ -39,7 +39,10 @@ class Pictured:
 def pictured(level: str, seed: int, number: int, held_out: bool = False, picture: bool = True) -> Pictured:
     """Draw a scene of a level in a random look and photograph it; the same arguments give the same picture."""
     rng = np.random.default_rng([seed, number, 7])
-    scene = random_scene(LEVELS[level], seed, number, dress=lambda panel: dressed(panel, rng, held_out))
+    # Of real panels some are made well, and some are not; lenses bend what is left of it.
+    low, high = (0.002, 0.012) if level == "wild" else (SCATTER_SHARE, SCATTER_SHARE)
+    scatter = low * (high / low) ** ((number % 8) / 7.0)
+    scene = random_scene(LEVELS[level], seed, number, dress=lambda panel: dressed(panel, rng, held_out, scatter))
     image: Image = photograph(scene, rng, random_taking(rng)) if picture else np.zeros((0, 0, 3), np.uint8)
     return Pictured(scene, image)
 

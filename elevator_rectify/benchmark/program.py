@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 
+from elevator_rectify.benchmark.buttons import buttons_table
 from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.negatives import KINDS, run_negative, run_overlapping
 from elevator_rectify.benchmark.parallel import parallel
@@ -79,7 +80,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--plot", type=Path, help="folder for the error curves as pictures")
     parser.add_argument("--pictures", action="store_true", help="what the picture adds, on rendered and real pictures")
     parser.add_argument("--turns", type=int, default=20, help="virtual rotations of each photograph, with --pictures")
+    parser.add_argument("--buttons", action="store_true", help="missing buttons and labels of real panels")
+    parser.add_argument("--repeats", type=int, default=5, help="times that each real panel is spoilt, with --buttons")
     options = parser.parse_args(arguments)
+    if options.buttons:
+        if not (options.data / "panels_mixed.json").exists():
+            print(f"skipped: there is no {options.data}/panels_mixed.json")
+        else:
+            print(buttons_table(options.data, options.seed, options.repeats))
+        return 0
     if options.pictures:
         return _pictures(options)
     if options.trials:

@@ -92,9 +92,7 @@ def mixed(folder: Path) -> str:
         if not _judgeable(boxes):
             continue
         judged += 1
-        # The size of the picture is unknown: that of the labelled part, with a margin.
-        corner = np.array([region["box"] for region in entry["regions"]])[:, 2:].max(axis=0)
-        camera = centred_camera(np.ceil(1.15 * corner), ASSUMED_FOCAL)
+        camera = centred_camera(panel_corner(entry), ASSUMED_FOCAL)
         detections = boxes_to_detections(boxes)
         fit = fit_panel(detections, camera, _CONFIG)
         if not fit.ok:
@@ -115,6 +113,11 @@ def mixed(folder: Path) -> str:
         f"ellipses after rectification: mean axis ratio {np.mean(ratios):.3f} of {len(ratios)}, "
         f"spread of a panel's radii {np.mean(spreads):.3f}"
     )
+
+
+def panel_corner(entry: dict[str, Any]) -> Array:
+    """Return the size (2,) of a panel's picture, which is unknown: that of the labelled part, with a margin."""
+    return np.asarray(np.ceil(1.15 * np.array([region["box"] for region in entry["regions"]])[:, 2:].max(axis=0)))
 
 
 def _judgeable(boxes: Array) -> bool:

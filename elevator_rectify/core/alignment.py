@@ -10,7 +10,7 @@ from elevator_rectify.core.lattice_fit import jacobians
 from elevator_rectify.core.layout import LayoutFit
 from elevator_rectify.core.patches import Picture, Window, sample
 from elevator_rectify.core.template import Template, align, feature, make_template, symmetry_centre
-from elevator_rectify.core.types import Array, IntArray
+from elevator_rectify.core.types import Array, BoolArray, IntArray
 
 # No button is known better, in pixels.
 _FLOOR_PX = 0.05
@@ -44,8 +44,8 @@ class Places:
     offset: Array
     covariance: Array
     correlation: Array
-    seen: Array
-    detected: Array
+    seen: BoolArray
+    detected: BoolArray
 
 
 def joined(one: Places, other: Places) -> Places:

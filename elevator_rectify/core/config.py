@@ -192,6 +192,7 @@ class MeasurementConfig(Checked):
     min_seen_share: float = value(
         0.5, "smallest share of the detected buttons that the picture must show to be used", low=0.0, high=1.0
     )
+    edges: bool = value(False, "straight edges that run along the panel's directions sharpen the rotation")
     covariance_scale: float = value(2.0, "factor on the covariance, from calibration", low=0.01, high=100.0)
 
 
@@ -211,10 +212,29 @@ class OutlineConfig(Checked):
 
 
 @dataclass(frozen=True)
+class LabelsConfig(Checked):
+    """What the buttons' labels and the panel's order say of each other."""
+
+    min_button: float = value(
+        0.9, "probability from which on a cell without detection is an inferred button", low=0.0, high=1.0
+    )
+    min_correction: float = value(
+        0.9, "probability from which on a floor replaces another label that was read", low=0.5, high=1.0
+    )
+    min_inference: float = value(
+        0.5, "probability from which on a button without a read label gets one", low=0.0, high=1.0
+    )
+
+
+@dataclass(frozen=True)
 class TargetConfig(Checked):
     """The button that is to be pressed."""
 
     min_score: float = value(0.5, "a label that was read with a lower score is not pressed", low=0.0, high=1.0)
+    min_probability: float = value(
+        0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
+    )
+    allow_inferred: bool = value(False, "buttons without a detection may be pressed")
     max_lateral_std_m: float = value(
         0.01, "largest standard deviation of a button's place across the pressing direction", low=0.0, high=1.0
     )
@@ -247,6 +267,7 @@ class Config:
     scale: ScaleConfig = field(default_factory=ScaleConfig)
     measurement: MeasurementConfig = field(default_factory=MeasurementConfig)
     outline: OutlineConfig = field(default_factory=OutlineConfig)
+    labels: LabelsConfig = field(default_factory=LabelsConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
 

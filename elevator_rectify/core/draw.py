@@ -17,10 +17,13 @@ def as_colour(image: Image) -> Image:
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
 
 
-def draw_overlay(image: Image, centres_px: Array, fit: GridFit, target: Button | None = None) -> Image:
+def draw_overlay(
+    image: Image, centres_px: Array, fit: GridFit, target: Button | None = None, buttons: Sequence[Button] = ()
+) -> Image:
     """Return the image with detections as green diamonds, grid centres as red crosses, and the status in a line.
 
-    target: the button that is to be pressed, drawn as a circle with its label.
+    target: the button that is to be pressed, drawn as a circle with its label. buttons: their labels are written,
+    corrected and inferred ones in amber; around buttons without detection there is a dashed circle.
     """
     canvas = as_colour(image)
     size = max(8, round(0.018 * max(canvas.shape[:2])))
@@ -29,6 +32,8 @@ def draw_overlay(image: Image, centres_px: Array, fit: GridFit, target: Button |
         cv2.drawMarker(canvas, (x, y), RED, cv2.MARKER_CROSS, size, thickness)
     for x, y in _drawable(centres_px):
         cv2.drawMarker(canvas, (x, y), GREEN, cv2.MARKER_DIAMOND, size, thickness)
+    for button in buttons:
+        _draw_button(canvas, button, size, thickness)
     for x, y in _drawable(target.image_px[None]) if target is not None else ():
         cv2.circle(canvas, (x, y), 2 * size, AMBER, 2 * thickness, cv2.LINE_AA)
         cv2.putText(canvas, _ascii(target), (x + 2 * size, y), cv2.FONT_HERSHEY_SIMPLEX, size / 16.0, AMBER, thickness)
@@ -37,6 +42,20 @@ def draw_overlay(image: Image, centres_px: Array, fit: GridFit, target: Button |
     else:
         text = f"{fit.status}: {fit.reason}"
     return caption(canvas, [text], GREEN if fit.ok else AMBER)
+
+
+def _draw_button(canvas: Image, button: Button, size: int, thickness: int) -> None:
+    """Write a button's label beside it; dash a circle around one that was not detected."""
+    if button.state == "empty":
+        return
+    for x, y in _drawable(button.image_px[None]):
+        if button.state == "inferred":
+            for start in range(0, 360, 45):
+                cv2.ellipse(canvas, (x, y), (size, size), 0, start, start + 25, AMBER, thickness, cv2.LINE_AA)
+        colour = WHITE if button.label_source == "read" else AMBER
+        at = (x + size // 2, y - size // 2)
+        for tint, width in ((BLACK, 3 * thickness), (colour, thickness)):
+            cv2.putText(canvas, _ascii(button), at, cv2.FONT_HERSHEY_SIMPLEX, size / 28.0, tint, width, cv2.LINE_AA)
 
 
 def _ascii(button: Button | None) -> str:

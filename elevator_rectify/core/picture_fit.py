@@ -17,6 +17,8 @@ from elevator_rectify.core.layout import LayoutFit, evaluate, pose_at
 from elevator_rectify.core.measured import STAGES, MeasuredFit, measure
 from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.result import judged, layout_result
+from elevator_rectify.core.straight_edges import segments_of, sharpened
+from elevator_rectify.core.track import posed
 from elevator_rectify.core.types import Array, GridFit, Image, Measurement
 
 # Written by `python3 -m elevator_rectify calibrate --pictures`.
@@ -37,6 +39,8 @@ FEATURES = (
     "two lines",
     "few seen",
     "free lines a button",
+    "ln boxes' distance over std",
+    "ln boxes' common distance over std",
 )
 # Poses with a margin below are all measured.
 _COMPARED_NATS = 10.0
@@ -74,7 +78,7 @@ def with_picture(
     found = picture_fit(fit, boxes, usable, camera, sigma, image, config, tracked)
     if found is None:
         return boxes
-    score = logistic_confidence(picture_features(found, boxes), COEFFICIENTS)
+    score = logistic_confidence(picture_features(found, boxes, usable, sigma), COEFFICIENTS)
     result = replace(found.result, confidence=score, margin_nats=found.margin)
     if found.other is not None and max(found.margin, fit.margin) < config.joint.ambiguity_nats:
         reason = f"two poses explain the picture, {found.margin:.2g} nats apart"
@@ -100,6 +104,8 @@ def picture_fit(
     if not measured:
         return None
     results = [_result(m, boxes, usable, camera, sigma, config) for m in measured]
+    if config.measurement.edges:
+        results = [_with_edges(r, image, camera) for r in results]
     margin = _misfit(measured[1]) - _misfit(measured[0]) if len(measured) > 1 else np.inf
     return PictureFit(measured[0], results[0], results[1] if len(results) > 1 else None, float(margin))
 
@@ -127,6 +133,25 @@ def _result(
     explained = _with_overlapping(evaluate(fit.pose, fit.layout, usable.rays, sigma, area, joint), usable, measured)
     result = layout_result(explained, pose, covariance, boxes, usable, camera, config)
     return replace(result, measurement=_measurement(measured, float(result.pitch[0]), camera))
+
+
+def _with_edges(fit: GridFit, image: Image, camera: Camera) -> GridFit:
+    """Return the fit turned about its grid's centre as the straight edges that agree with it say."""
+    steps = np.linalg.norm(np.diff(fit.grid_px, axis=0), axis=-1)
+    segments = segments_of(image, camera, float(np.median(steps)))
+    if not len(segments.normal):
+        return fit
+    R, covariance = sharpened(fit.R_camera_panel, fit.covariance[3:, 3:], segments)
+    centre = fit.grid_panel.mean(axis=(0, 1))
+    t = fit.t_camera_panel + (fit.R_camera_panel - R)[:, :2] @ centre
+    whole = fit.covariance.copy()
+    whole[3:, 3:] = covariance
+    # What t owes to the rotation shrinks with it.
+    share = np.linalg.solve(fit.covariance[3:, 3:], fit.covariance[3:, :3]).T
+    whole[:3, 3:] = share @ covariance
+    whole[3:, :3] = whole[:3, 3:].T
+    whole[:3, :3] -= share @ (fit.covariance[3:, 3:] - covariance) @ share.T
+    return replace(posed(fit, R, t, camera), covariance=whole)
 
 
 def _with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> LayoutFit:
@@ -162,7 +187,23 @@ def _measurement(measured: MeasuredFit, unit: float, camera: Camera) -> Measurem
     )
 
 
-def picture_features(found: PictureFit, boxes: GridFit) -> Array:
+def _boxes_apart(measured: MeasuredFit, usable: Usable, sigma: float) -> tuple[float, float]:
+    """Return ln of how far the boxes are from where the picture shows their buttons, each and all alike, over what the
+    detector's noise explains: a picture of another moment shows them elsewhere."""
+    places = measured.places
+    own = places.seen & places.detected
+    at = measured.rays[own]
+    distance = np.linalg.norm(usable.rays[:, None] - at[None], axis=-1)
+    nearest = distance.argmin(axis=0)
+    apart = (usable.rays[nearest] - at) / sigma
+    if not len(apart):
+        return 3.0, 3.0
+    each = float(np.sqrt(0.5 * (apart**2).sum(axis=1).mean()))
+    together = float(np.linalg.norm(apart.mean(axis=0)) * np.sqrt(0.5 * len(apart)))
+    return float(np.log(np.clip(each, 0.1, 20.0))), float(np.log(np.clip(together, 0.1, 20.0)))
+
+
+def picture_features(found: PictureFit, boxes: GridFit, usable: Usable, sigma: float) -> Array:
     """Return what the confidence of a fit to the picture is computed from, in the order of FEATURES."""
     measured, result = found.measured, found.result
     places, layout = measured.places, measured.fit.layout
@@ -172,6 +213,7 @@ def picture_features(found: PictureFit, boxes: GridFit) -> Array:
     correlation = places.correlation[detected]
     free = len(layout.row_breaks) + len(layout.column_breaks) + layout.row_stagger.sum() + layout.column_stagger.sum()
     number = float(seen.sum())
+    apart = _boxes_apart(measured, usable, sigma)
     p = float(np.clip(boxes.confidence, 1e-3, 1.0 - 1e-3))
     return np.array(
         [
@@ -190,5 +232,6 @@ def picture_features(found: PictureFit, boxes: GridFit) -> Array:
             float(min(len(layout.rows), len(layout.columns)) == 2),
             1.0 / max(number - 3.0, 1.0),
             free / number,
+            *apart,
         ]
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 Image = NDArray[Any]
 
 
@@ -34,12 +36,15 @@ def _nan(*shape: int) -> Any:
 
 @dataclass(frozen=True)
 class Button:
-    """One detected button of a fitted panel.
+    """One place of a fitted panel that holds a button, or may hold one.
 
-    image_px: (2,) its cell's centre in the (distorted) image; panel: (2,) the same in the panel frame; point: (3,) in
-    the camera frame, with covariance (3, 3); normal: (3,) unit vector out of the panel, towards the camera; size: its
-    width and height. Lengths are in the fit's unit. label: as it is looked up (`canonical`), read: as the detector
-    wrote it; score: the detector's; detection: index into the input.
+    state: 'observed' where a detection is, 'inferred' where the picture or the panel's order says that there is one,
+    'empty' else; probability: that there is a button. image_px: (2,) its centre in the (distorted) image; panel: (2,)
+    its cell in the panel frame; point: (3,) in the camera frame, with covariance (3, 3); normal: (3,) unit vector out
+    of the panel, towards the camera; size: its width and height. Lengths are in the fit's unit. label: what it means
+    (`canonical`), label_source: 'read', 'corrected' (another one was read), 'inferred' (none was) or '' (no label);
+    label_probability: that it is right; read: as the detector wrote it, score: the detector's, detection: index into
+    the input, -1 for none.
     """
 
     block: tuple[int, int]
@@ -55,6 +60,10 @@ class Button:
     read: str
     score: float
     detection: int
+    state: str = "observed"
+    probability: float = 1.0
+    label_source: str = ""
+    label_probability: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -126,9 +135,9 @@ class GridFit:
         """Tell whether the pose may be used."""
         return self.status == "ok"
 
-    @property
+    @cached_property
     def buttons(self) -> tuple[Button, ...]:
-        """Return the detected buttons of the grid, row by row; none where the pose may not be used."""
+        """Return the grid's places, row by row, with their labels; none where the pose may not be used."""
         from elevator_rectify.core.buttons import buttons_of
 
         return buttons_of(self)

@@ -38,7 +38,7 @@ _HELD_OUT_SHAPES = (
     ("pill", 1.3, 1.0),
 )
 _LIT_SHARE = 0.1
-_SCATTER_SHARE = 0.003
+SCATTER_SHARE = 0.003
 _HIGHEST_SHARE = 0.09
 
 
@@ -70,11 +70,14 @@ def random_look(rng: np.random.Generator, held_out: bool = False) -> Look:
     )
 
 
-def dressed(panel: Panel, rng: np.random.Generator, held_out: bool = False) -> Panel:
-    """Return the panel with a random look, some lamps lit, and its buttons placed as they are manufactured."""
+def dressed(panel: Panel, rng: np.random.Generator, held_out: bool = False, scatter: float = SCATTER_SHARE) -> Panel:
+    """Return the panel with a random look, some lamps lit, and its buttons placed as they are manufactured.
+
+    scatter: standard deviation of the places, in column pitches.
+    """
     look = random_look(rng, held_out)
     lit = frozenset(int(k) for k in np.flatnonzero(rng.random(len(panel.buttons)) < _LIT_SHARE))
-    offsets = rng.normal(0.0, _SCATTER_SHARE * panel.pitch_m[0], (len(panel.buttons), 2))
+    offsets = rng.normal(0.0, scatter * panel.pitch_m[0], (len(panel.buttons), 2))
     return replace(panel, look=look, lit=lit, offsets_m=tuple((float(x), float(y)) for x, y in offsets))
 
 

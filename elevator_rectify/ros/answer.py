@@ -5,18 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from elevator_rectify.core.buttons import Choice, find_button
+from elevator_rectify.core.buttons import Choice, buttons_of, find_button
 from elevator_rectify.core.camera import Camera
-from elevator_rectify.core.config import Config
+from elevator_rectify.core.config import Config, LabelsConfig
 from elevator_rectify.core.draw import draw_overlay
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.scale import with_scale
 from elevator_rectify.core.track import Track, smoothed
-from elevator_rectify.core.types import Array, Detection, GridFit, Image, Rectification
+from elevator_rectify.core.types import Array, Button, Detection, GridFit, Image, Rectification
 from elevator_rectify.core.warp import rectify_image
 from elevator_rectify.ros.config import DEFAULT_NODE, NodeConfig
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
@@ -45,7 +46,6 @@ class Answer:
     header: Any
     fit: GridFit
     detections: tuple[Detection, ...] = ()
-    camera: Camera | None = None
     view: Rectification | None = None
     overlay: Image | None = None
     scale: str = "unknown"
@@ -53,6 +53,12 @@ class Answer:
     choice: Choice | None = None
     standoff_m: float = 0.0
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
+    labels: LabelsConfig = field(default_factory=LabelsConfig)
+
+    @cached_property
+    def buttons(self) -> tuple[Button, ...]:
+        """Return the panel's places with their labels."""
+        return buttons_of(self.fit, self.labels)
 
 
 @dataclass(frozen=True)
@@ -93,15 +99,26 @@ def answer_frame(
     watch.lap("fit")
     choice = find_button(fit, target, config.target) if target else None
     button = choice.button if choice is not None else None
-    view = overlay = None
+    view = None
     if given.image is not None and fit.ok and "rectified" in wanted:
         view = rectify_image(given.image, given.camera, fit, config.view)
     watch.lap("warp")
+    answer = Answer(
+        frame.image.header,
+        fit,
+        tuple(given.detections),
+        view=view,
+        scale=scale,
+        target=target,
+        choice=choice,
+        standoff_m=config.target.standoff_m,
+        stopwatch=watch,
+        labels=config.labels,
+    )
     if given.image is not None and "overlay" in wanted:
-        overlay = draw_overlay(given.image, _finite_centres(given.detections), fit, button)
+        overlay = draw_overlay(given.image, _finite_centres(given.detections), fit, button, answer.buttons)
+        answer = replace(answer, overlay=overlay)
     watch.lap("overlay")
-    answer = Answer(frame.image.header, fit, tuple(given.detections), given.camera, view, overlay, scale)
-    answer = replace(answer, target=target, choice=choice, standoff_m=config.target.standoff_m, stopwatch=watch)
     return answer, track
 
 

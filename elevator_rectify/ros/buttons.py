@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from elevator_rectify.core.types import Array, Button, GridFit
@@ -9,25 +10,31 @@ from elevator_rectify.ros.messages import Make
 from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion
 
 
-def buttons_message(fit: GridFit, header: Any, make: Make) -> Any:
-    """Return one Detection3D per detected button of the grid: pose at its cell, facing into the panel, label and score.
+def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: Make) -> Any:
+    """Return one Detection3D per button of the grid: pose at its cell, facing into the panel, label and score.
 
-    id is "row,column"; results[0].hypothesis has the button's label as class_id and the detector's score.
+    id is "row,column", and "row,column,inferred" for one without a detection; results[0].hypothesis has the button's
+    label as class_id. Its score is the detector's where the label is as read, else the label's probability.
     """
-    found = [_detection(fit, button, header, make) for button in fit.buttons]
+    found = [_detection(fit, button, header, make) for button in buttons if button.state != "empty"]
     return make("vision_msgs/msg/Detection3DArray", header=header, detections=found)
 
 
 def _detection(fit: GridFit, button: Button, header: Any, make: Make) -> Any:
     pose = pose_of(button.point, quaternion(fit.R_camera_panel), make)
     covariance = message_covariance(fit, button.point - fit.t_camera_panel)
-    hypothesis = make("vision_msgs/msg/ObjectHypothesis", class_id=button.label, score=float(button.score))
+    hypothesis = make("vision_msgs/msg/ObjectHypothesis", class_id=button.label, score=_score(button))
     with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
     result = make("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
     size = make("geometry_msgs/msg/Vector3", x=float(button.size[0]), y=float(button.size[1]), z=0.0)
     box = make("vision_msgs/msg/BoundingBox3D", center=pose, size=size)
-    place = f"{button.row},{button.column}"
+    place = f"{button.row},{button.column}" + (",inferred" if button.state == "inferred" else "")
     return make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=place)
+
+
+def _score(button: Button) -> float:
+    as_read = button.state == "observed" and button.label_source in ("read", "")
+    return float(button.score if as_read else min(button.probability, button.label_probability or 1.0))
 
 
 def pressing_pose_message(fit: GridFit, point: Array, header: Any, make: Make) -> Any:

@@ -58,7 +58,7 @@ def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] 
         makers["grid_centers"] = lambda: grid_message(fit, header, make)
         makers["panel_pose"] = lambda: pose_message(fit, header, make)
         makers |= _target_makers(answer, header, make)
-        makers["buttons"] = lambda: buttons_message(fit, header, make)
+        makers["buttons"] = lambda: buttons_message(fit, answer.buttons, header, make)
     overlay = answer.overlay
     if overlay is not None:
         makers["overlay"] = lambda: image_message(overlay, header, make)

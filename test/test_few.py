@@ -1,0 +1,139 @@
+"""Panels of few buttons: outlines, straight edges, ambiguity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from elevator_rectify.benchmark.pictures import few_pictured
+from elevator_rectify.core import Config, Detection, GridFit, fit_panel, rectify_image
+from elevator_rectify.core.config import with_values
+from elevator_rectify.core.motion import rotation, rotation_angle_rad
+from elevator_rectify.core.outlines import shape_points
+from elevator_rectify.core.straight_edges import segments_of, sharpened, support
+from elevator_rectify.core.types import Array, Image
+from elevator_rectify.render.scene import paper_camera
+
+NO_EDGES = with_values(Config(), {"outline.edges": False})
+
+
+def normal_error_deg(fit: GridFit, R: Array) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(fit.R_camera_panel[:, 2] @ R[:, 2], -1.0, 1.0))))
+
+
+def plate(R: Array) -> Image:
+    """Return a picture of a bright plate of known rotation, half a metre away."""
+    corners = np.array([[-0.1, -0.15, 0], [0.1, -0.15, 0], [0.1, 0.15, 0], [-0.1, 0.15, 0]]) @ R.T + [0, 0, 0.5]
+    fine = paper_camera().project(corners) * 64
+    image = np.full((480, 640), 60, np.uint8)
+    cv2.fillPoly(image, [fine.round().astype(np.int32)], 200, cv2.LINE_AA, 6)
+    return cv2.GaussianBlur(image, (0, 0), 0.8)
+
+
+def test_rounded_rectangles_are_circles_and_rectangles_at_their_ends() -> None:
+    np.testing.assert_allclose(np.linalg.norm(shape_points(np.array([1.0, 1.0]), 1.0), axis=1), 1.0, atol=1e-9)
+    box = shape_points(np.array([2.0, 1.0]), 0.02)
+    inside = np.abs(box) - [2.0, 1.0]
+    np.testing.assert_allclose(inside.max(axis=1), 0.0, atol=0.01)
+
+
+def test_straight_edges_find_the_rotation_of_a_plate() -> None:
+    truth = rotation(np.array([0.35, -0.3, 0.05]))
+    segments = segments_of(plate(truth), paper_camera(), 60.0)
+    assert len(segments.normal) >= 4
+    start = rotation(np.array([0.03, 0.02, -0.02])) @ truth
+    found, covariance = sharpened(start, 0.05**2 * np.eye(3), segments)
+    assert rotation_angle_rad(found.T @ truth) < np.deg2rad(0.5)
+    assert np.linalg.eigvalsh(covariance)[-1] < 0.5**2 * 0.05**2
+    assert support(segments, truth) > support(segments, rotation(np.array([-0.35, 0.3, 0.05]))) + 3.0
+
+
+@pytest.mark.parametrize(("shape", "buttons"), [("round", 2), ("round", 3), ("square", 2), ("square", 3)])
+def test_outlines_give_the_normal_of_few_buttons(shape: str, buttons: int) -> None:
+    errors = []
+    for number in range(5):
+        scene, image = few_pictured(shape, buttons, 601, number)
+        fit = fit_panel(scene.detections, scene.camera, image=image)
+        assert fit.method == "outlines" or fit.status == "too_few_detections"
+        if fit.ok:
+            errors.append(normal_error_deg(fit, scene.R_camera_panel))
+            assert len(fit.buttons) == buttons and fit.rows * fit.columns == buttons
+            assert np.linalg.eigvalsh(fit.covariance)[0] > 0
+            rectify_image(image, scene.camera, fit)
+    assert len(errors) >= 3 and np.median(errors) < 1.5 and max(errors) < 5.0
+
+
+def test_one_circle_alone_is_ambiguous_and_both_poses_are_there() -> None:
+    better = []
+    for number in range(6):
+        scene, image = few_pictured("round", 1, 602, number)
+        fit = fit_panel(scene.detections, scene.camera, NO_EDGES, image=image)
+        assert not fit.ok
+        if fit.status == "ambiguous":
+            poses = [fit, *fit.alternatives]
+            better.append(min(normal_error_deg(p, scene.R_camera_panel) for p in poses))
+    assert len(better) >= 4 and np.median(better) < 2.0
+
+
+def test_gravity_settles_a_circle_seen_from_above() -> None:
+    settled = 0
+    for number in range(30):
+        scene, image = few_pictured("round", 1, 603, number)
+        up = -scene.R_camera_panel[:, 1]
+        if abs(scene.R_camera_panel[2, 1]) < 0.25:
+            continue
+        values = {f"outline.up_{axis}": float(u) for axis, u in zip("xyz", up, strict=True)}
+        fit = fit_panel(scene.detections, scene.camera, with_values(NO_EDGES, values), image=image)
+        if fit.ok:
+            settled += 1
+            assert normal_error_deg(fit, scene.R_camera_panel) < 4.0
+    assert settled >= 2
+
+
+def test_the_buttons_size_gives_the_distance() -> None:
+    scene, image = few_pictured("square", 2, 604, 1)
+    size = scene.panel.look.button_share * min(scene.panel.pitch_m)
+    config = with_values(Config(), {"outline.button_size_m": size})
+    fit = fit_panel(scene.detections, scene.camera, config, image=image)
+    assert fit.ok and fit.metric
+    middle = scene.panel.points_m.mean(axis=0) @ scene.R_camera_panel.T + scene.t_camera_panel
+    # Rings and caps are taken for one another: their sizes differ by up to a fifth.
+    assert np.linalg.norm(fit.grid_points.mean(axis=(0, 1))) == pytest.approx(float(np.linalg.norm(middle)), rel=0.25)
+
+
+def test_without_picture_or_sizes_few_buttons_stay_refused() -> None:
+    scene, image = few_pictured("round", 2, 605, 0)
+    assert fit_panel(scene.detections, scene.camera).status == "too_few_detections"
+    fit = fit_panel(scene.centres_px, scene.camera, image=image)
+    assert fit.status == "too_few_detections" and "without sizes" in fit.reason
+    black = fit_panel(scene.detections, scene.camera, image=np.zeros_like(image))
+    assert black.status == "too_few_detections" and "no outlines" in black.reason
+
+
+def test_the_order_of_the_boxes_does_not_matter() -> None:
+    scene, image = few_pictured("round", 3, 606, 2)
+    given = list(scene.detections)
+    one, other = (fit_panel(d, scene.camera, image=image) for d in (given, given[::-1]))
+    np.testing.assert_allclose(one.R_camera_panel, other.R_camera_panel, atol=1e-6)
+    assert replace(one, cells=other.cells).status == other.status
+
+
+NOISE = np.random.default_rng(1).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+PLATE = cv2.cvtColor(plate(rotation(np.array([0.3, 0.1, 0.0]))), cv2.COLOR_GRAY2BGR)
+numbers = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-50.0, 700.0))
+boxes = st.builds(Detection, numbers, numbers, numbers, numbers, st.sampled_from(["", "7", "up"]), numbers)
+
+
+@settings(max_examples=120, deadline=None)
+@given(detections=st.lists(boxes, max_size=9), picture=st.sampled_from([NOISE, PLATE, np.zeros_like(NOISE)]))
+def test_any_boxes_in_any_picture_give_a_result(detections: list[Detection], picture: Image) -> None:
+    fit = fit_panel(detections, paper_camera(), image=picture)
+    assert fit.status and (fit.ok or fit.reason)
+    assert len(fit.cells) == len(detections)
+    if fit.ok:
+        assert np.isfinite(fit.covariance).all() and np.isfinite(fit.grid_px).all()
