@@ -1,26 +1,31 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from elevator_rectify.benchmark import program
+from elevator_rectify.benchmark.buttons import entries, run_read, run_removed
 from elevator_rectify.benchmark.negatives import KINDS, run_negative
 from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation, true_lattice
 from elevator_rectify.benchmark.real import photographs
 from elevator_rectify.benchmark.synthetic import calibration_error, run_trial
+from elevator_rectify.benchmark.turned import run_photograph
 from elevator_rectify.calibrate import logistic_regression
-from elevator_rectify.core.confidence import COEFFICIENTS, FEATURES, expanded
+from elevator_rectify.core import confidence, few_result, picture_fit
 from elevator_rectify.render.levels import LEVELS, random_scene
 from test.scenes import rotation_error_deg
 
 DATA = Path(__file__).parent.parent.parent / "shared" / "data"
 
 
-def test_coefficients_belong_to_the_features() -> None:
-    table = json.loads(COEFFICIENTS.read_text())
-    assert list(table["features"]) == list(FEATURES)
-    one = expanded(np.zeros(len(FEATURES)), np.zeros(len(FEATURES)), np.ones(len(FEATURES)))
+@pytest.mark.parametrize("module", [confidence, picture_fit, few_result])
+def test_coefficients_belong_to_the_features(module: Any) -> None:
+    table = json.loads(module.COEFFICIENTS.read_text())
+    number = len(module.FEATURES)
+    assert list(table["features"]) == list(module.FEATURES)
+    one = confidence.expanded(np.zeros(number), np.zeros(number), np.ones(number))
     assert len(table["coefficients"]) == len(one)
 
 
@@ -72,6 +77,44 @@ def test_the_program_prints_its_tables(capsys: pytest.CaptureFixture[str], tmp_p
     assert (tmp_path / "errors_easy.png").stat().st_size > 1000
     said = capsys.readouterr().out
     assert "oracle" in said and "uniform" in said and "skipped" in said
+
+
+def test_the_program_prints_what_the_picture_adds(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = [
+        "--pictures",
+        "--trials",
+        "4",
+        "--levels",
+        "easy",
+        "--draws",
+        "1",
+        "--turns",
+        "1",
+        "--data",
+        str(tmp_path),
+    ]
+    assert program.main(options) == 0
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("oracle", "lateral", "yardsticks", "made wrong", "3 square", "skipped")), said
+    assert program.main(["--buttons", "--data", str(tmp_path)]) == 0 and "skipped" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")
+def test_a_photograph_turned_virtually_turns_the_estimate() -> None:
+    line = run_photograph((str(DATA / "photos"), "t4", 5))
+    assert line["picture turns"] >= 3 and line["picture spread"] < 0.5 * line["boxes spread"]
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")
+def test_labels_of_a_real_panel_are_corrected_and_missing_buttons_inferred() -> None:
+    panels = {entry.name: entry for entry in entries(DATA)}
+    assert len(panels) > 60
+    some = [panels[name] for name in sorted(panels)[:12]]
+    readings = [r for r in (run_read((p, 3, True)) for p in some) if r is not None]
+    assert sum(r.after for r in readings) > sum(r.before for r in readings)
+    assert sum(r.spoilt for r in readings) == 0 and sum(r.right for r in readings) == sum(r.answered for r in readings)
+    removed = [r for r in (run_removed((p, 0.1, 3)) for p in some) if r is not None]
+    assert sum(r.right for r in removed) > sum(r.wrong for r in removed)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")

@@ -7,6 +7,7 @@ A cell holds a floor, something else (a letter, a control), or nothing; floors r
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -43,6 +44,9 @@ _LOOK_ALIKE = 0.3
 # Numbers beyond the read ones that are considered.
 _BEYOND = 3
 _MOST_STATES = 80
+_TINY = 1e-300
+# Labels change seldom from frame to frame: so many results are kept, of scores that differ by less than this.
+_KEPT, _SCORE_STEP = 16, 0.1
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,16 @@ class Floors:
 
 def floors_of(reads: Reads, rows: int, columns: int) -> Floors:
     """Return the probabilities of the floors at every cell of a grid."""
+    score = np.round(np.nan_to_num(reads.score) / _SCORE_STEP) * _SCORE_STEP
+    return _floors(
+        reads.label, score.tobytes(), reads.filled.tobytes(), reads.present.round(3).tobytes(), rows, columns
+    )
+
+
+@lru_cache(maxsize=_KEPT)
+def _floors(label: tuple[str, ...], score: bytes, filled: bytes, present: bytes, rows: int, columns: int) -> Floors:
+    """Return the same, of arrays as bytes, which can be kept."""
+    reads = Reads(label, np.frombuffer(score), np.frombuffer(filled, dtype=bool), np.frombuffer(present))
     numbers = _numbers(reads)
     emit, emit_other = _emissions(reads, numbers)
     names = [*_ORDERS, *(["rows up"] * len(_JUMPS) if columns > 1 else [])]
@@ -192,44 +206,70 @@ def _step_table(gap: IntArray, usual: int) -> Array:
     return np.asarray(step + np.where(ahead <= 0, _BACKWARDS / len(gap), 0.0))
 
 
+@dataclass(frozen=True)
+class _Chain:
+    """The cells in the order of each hypothesis: emissions (orders, K, S) and (orders, K), and the probabilities
+    (orders, K, 3) of going on to a floor, or staying with something else, after a floor, something else, or nothing."""
+
+    emit: Array
+    emit_other: Array
+    go: Array
+    stay: Array
+    steps: _Steps
+
+
 def _forward_backward(emit: Array, emit_other: Array, filled: BoolArray, steps: _Steps) -> tuple[Array, Array, Array]:
     """Return the posteriors (orders, K, S) of floors and (orders, K) of others, and the log evidence (orders,).
 
     The state is the last floor so far, or that there was none, and whether the cell itself holds it.
     """
-    orders, K, S = emit.shape
     # An empty cell does not choose between a floor and something else: its own probability of a button does.
     stay = np.where(filled[..., None], np.array(_OTHER), 1.0)
     go = np.where(filled[..., None], 1.0 - np.array(_OTHER), 1.0)
+    chain = _Chain(emit, emit_other, go, stay, steps)
+    ahead, ahead_other, evidence = _forward(chain)
+    back, back_other = _backward(chain)
+    floor, other = ahead * back, (ahead_other * back_other).sum(axis=-1)
+    total = floor.sum(axis=-1) + other + _TINY
+    return np.moveaxis(floor / total[..., None], 0, 1), (other / total).T, evidence
+
+
+def _forward(chain: _Chain) -> tuple[Array, Array, Array]:
+    """Return the probabilities, given the cells up to each, of floors (K, orders, S) and others (K, orders, S + 1), by
+    the last floor (the last one: none so far), and the log evidence (orders,)."""
+    orders, K, S = chain.emit.shape
     ahead, ahead_other = np.zeros((K, orders, S)), np.zeros((K, orders, S + 1))
-    floor, other = np.zeros((orders, S)), np.zeros((orders, S + 1))
+    floor, other, evidence = np.zeros((orders, S)), np.zeros((orders, S + 1)), np.zeros(orders)
     other[:, S] = 1.0
-    evidence = np.zeros(orders)
     for k in range(K):
-        g, s = go[:, k], stay[:, k]
+        g, s = chain.go[:, k], chain.stay[:, k]
         known = g[:, :1] * floor + g[:, 1:2] * other[:, :S]
-        new = (steps.after(known, k) + (g[:, 2] * other[:, S])[:, None] * steps.first) * emit[:, k]
+        first = (g[:, 2] * other[:, S])[:, None] * chain.steps.first
         kept = np.column_stack([s[:, :1] * floor + s[:, 1:2] * other[:, :S], s[:, 2] * other[:, S]])
-        floor, other = new, kept * emit_other[:, k, None]
-        scale = floor.sum(axis=1) + other.sum(axis=1) + 1e-300
+        floor = (chain.steps.after(known, k) + first) * chain.emit[:, k]
+        other = kept * chain.emit_other[:, k, None]
+        scale = floor.sum(axis=1) + other.sum(axis=1) + _TINY
         evidence += np.log(scale)
         floor, other = floor / scale[:, None], other / scale[:, None]
         ahead[k], ahead_other[k] = floor, other
-    back, back_other = np.ones((orders, S)), np.ones((orders, S + 1))
-    found, found_other = np.zeros((orders, K, S)), np.zeros((orders, K))
-    for k in reversed(range(K)):
-        mine, theirs = ahead[k] * back, (ahead_other[k] * back_other).sum(axis=1)
-        total = mine.sum(axis=1) + theirs + 1e-300
-        found[:, k], found_other[:, k] = mine / total[:, None], theirs / total
-        g, s = go[:, k], stay[:, k]
-        e, other_e = back * emit[:, k], back_other * emit_other[:, k, None]
-        next_floor, next_first = steps.before(e, k), e @ steps.first
-        back = g[:, :1] * next_floor + s[:, :1] * other_e[:, :S]
-        rest = g[:, 1:2] * next_floor + s[:, 1:2] * other_e[:, :S]
-        back_other = np.column_stack([rest, g[:, 2] * next_first + s[:, 2] * other_e[:, S]])
-        scale = np.maximum(back.max(axis=1), back_other.max(axis=1))[:, None] + 1e-300
-        back, back_other = back / scale, back_other / scale
-    return found, found_other, evidence
+    return ahead, ahead_other, evidence
+
+
+def _backward(chain: _Chain) -> tuple[Array, Array]:
+    """Return the likelihoods of the cells behind each, given its floor (K, orders, S) or other (K, orders, S + 1)."""
+    orders, K, S = chain.emit.shape
+    back, back_other = np.ones((K, orders, S)), np.ones((K, orders, S + 1))
+    for k in range(K - 1, 0, -1):
+        g, s = chain.go[:, k], chain.stay[:, k]
+        floor, other = back[k] * chain.emit[:, k], back_other[k] * chain.emit_other[:, k, None]
+        following, first = chain.steps.before(floor, k), floor @ chain.steps.first
+        back[k - 1] = g[:, :1] * following + s[:, :1] * other[:, :S]
+        back_other[k - 1, :, :S] = g[:, 1:2] * following + s[:, 1:2] * other[:, :S]
+        back_other[k - 1, :, S] = g[:, 2] * first + s[:, 2] * other[:, S]
+        scale = np.maximum(back[k - 1].max(axis=1), back_other[k - 1].max(axis=1))[:, None] + _TINY
+        back[k - 1] /= scale
+        back_other[k - 1] /= scale
+    return back, back_other
 
 
 def _each_alone(emit: Array, emit_other: Array, filled: BoolArray) -> tuple[Array, Array, float]:
