@@ -193,7 +193,7 @@ class MeasurementConfig(Checked):
         0.5, "smallest share of the detected buttons that the picture must show to be used", low=0.0, high=1.0
     )
     edges: bool = value(False, "straight edges that run along the panel's directions sharpen the rotation")
-    covariance_scale: float = value(2.0, "factor on the covariance, from calibration", low=0.01, high=100.0)
+    covariance_scale: float = value(2.5, "factor on the covariance, from calibration", low=0.01, high=100.0)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,8 @@ def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refuse
     boxes = np.column_stack([camera.pixels(usable.rays), usable.sizes_px])
     if not (usable.sizes_px > 0).all():
         return replace(refused, reason=f"{refused.reason}; boxes without sizes show no outlines")
+    if (usable.sizes_px > [camera.width, camera.height]).any():
+        return replace(refused, reason=f"{refused.reason}; a box is larger than the picture")
     found = fit_few(boxes, image, camera, config)
     if found is None or not _shown(found.best):
         return replace(refused, reason=f"{refused.reason}; the picture shows no outlines")

@@ -24,7 +24,7 @@ _WEAKEST = 2.0
 _SEARCH_STEP_PX = 0.5
 # Half widths of the search for edges, in shares of the button's half size, round by round.
 SEARCHES = (0.2, 0.12, 0.07, 0.05, 0.05, 0.05)
-_NARROWEST_PX = 1.5
+_NARROWEST_PX, _WIDEST_PX = 1.5, 40.0
 _DIFFERENCE = 1e-5
 # Standard deviations of ln(width / height) of buttons that are meant to be square, and of the others.
 _SQUARE_STD, _OBLONG_STD, _OBLONG_NATS = 0.03, 0.3, 3.0
@@ -146,7 +146,9 @@ def fit_outlines(model: OutlineModel, edges: Edges) -> OutlineFit:
             break
         normal = normals(outlines)
         size = 0.5 * float(np.sqrt(np.prod(np.ptp(outlines, axis=1), axis=1)).mean())
-        offset, strength = _nearest_edges(edges, outlines, normal, max(_NARROWEST_PX, share * size))
+        offset, strength = _nearest_edges(
+            edges, outlines, normal, float(np.clip(share * size, _NARROWEST_PX, _WIDEST_PX))
+        )
         result = _stepped(model, edges.camera, offset, strength, normal)
         model = result.model
     if result is None:
