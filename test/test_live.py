@@ -71,7 +71,7 @@ def test_vision_msgs_in_and_buttons_markers_and_tf_out() -> None:
         labels = ["0", "7", "open", *[""] * (len(TRUTH.centres_px) - 3)]
         harness.send(**frame(1, detections=vision_detections(1, TRUTH.centres_px, labels)))
         assert harness.answered(1) and harness.statuses() == ["ok"]
-        assert harness.until(lambda: bool(harness.received["buttons"] and harness.received["/tf"]))
+        assert harness.until(lambda: all(harness.received[topic] for topic in ("buttons", "/tf", "markers")))
         (buttons,), (pose,) = harness.received["buttons"], harness.received["panel_pose"]
         found = {b.results[0].hypothesis.class_id for b in buttons.detections}
         assert len(buttons.detections) == len(TRUTH.centres_px) and found == {"B1", "open", ""}
