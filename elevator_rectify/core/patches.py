@@ -119,4 +119,4 @@ def _interpolation(n: int) -> Array:
         np.prod([(at - knots[j]) / (knots[k] - knots[j]) for j in range(_KNOTS) if j != k], axis=0)
         for k in range(_KNOTS)
     ]
-    return np.stack(columns, axis=-1).astype(np.float32)
+    return np.asarray(np.stack(columns, axis=-1), dtype=np.float32)
