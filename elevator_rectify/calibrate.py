@@ -133,10 +133,10 @@ def outline_examples(task: tuple[str, int, int]) -> list[Example]:
     return [Example(few_result.few_features(found), bool(np.rad2deg(error) <= _RIGHT_OUTLINE_DEG), float("nan"), 1.0)]
 
 
-def logistic_regression(X: Array, y: Array, weights: Array, steps: int = 60) -> Array:
+def logistic_regression(X: Array, y: Array, weights: Array, steps: int = 60, ridge: float | None = None) -> Array:
     """Return the ridge-regularised coefficients by Newton's method (iteratively reweighted least squares)."""
     beta = np.zeros(X.shape[1])
-    ridge = _RIDGE * len(y) / 100.0
+    ridge = _RIDGE * len(y) / 100.0 if ridge is None else ridge
     for _ in range(steps):
         p = 1.0 / (1.0 + np.exp(-np.clip(X @ beta, -30, 30)))
         hessian = (X * (weights * p * (1 - p))[:, None]).T @ X + ridge * np.eye(X.shape[1])
@@ -174,7 +174,13 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--outlines", action="store_true", help="the confidence of fits to the outlines of few buttons")
+    parser.add_argument("--buttons", action="store_true", help="which empty cells hold a missed button (real panels)")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
     options = parser.parse_args(arguments)
+    if options.buttons:
+        from elevator_rectify import calibrate_filled
+
+        return calibrate_filled.main(options.data, options.seed)
     function, kinds, usual = examples, (*_LEVELS, *KINDS), 700
     names: tuple[str, ...] = confidence.FEATURES
     path = confidence.COEFFICIENTS

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from elevator_rectify.core import Config, Detection, GridFit, find_button, fit_panel
-from elevator_rectify.core.buttons import lateral_std
 from elevator_rectify.core.config import ScaleConfig, TargetConfig
 from elevator_rectify.core.labels import aliases, canonical
+from elevator_rectify.core.target import lateral_std
 from elevator_rectify.render.panel import PITCH_M
 from test.scenes import scene
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core import Button, Detection, GridFit, find_button, fit_panel
+from elevator_rectify.core.chain import OTHER, OTHER_BEFORE, Emissions, forward_backward, step_table
 from elevator_rectify.core.config import TargetConfig
-from elevator_rectify.core.filled import present
 from elevator_rectify.core.misread import confusion, looks_like
-from elevator_rectify.core.sequence import _OTHER, Reads, _forward_backward, _Steps, floors_of
+from elevator_rectify.core.orders import Order
 from elevator_rectify.core.text_grid import text_grid
+from elevator_rectify.core.types import Array
 from test.test_buttons import METRIC, VIEW, labelled
 
 
@@ -32,40 +33,95 @@ def fitted(labels: dict[int, str], without: tuple[int, ...] = ()) -> GridFit:
     return fit_panel(given, VIEW.camera, METRIC)
 
 
-def test_forward_backward_is_the_sum_over_all_paths() -> None:
-    rng = np.random.default_rng(4)
-    numbers, K = np.array([1, 2, 3, 4]), 4
-    emit, emit_other = rng.uniform(0.1, 1.0, (1, K, 4)), rng.uniform(0.1, 1.0, (1, K))
-    filled = np.array([[True, False, True, True]])
-    steps = _Steps(numbers, np.array([2]), np.array([[False, False, True, False]]))
-    floor, other, evidence = _forward_backward(emit, emit_other, filled, steps)
-    total, marginal = 0.0, np.zeros((K, 5))
-    for path in product(range(5), repeat=K):
-        weight, last, kind = 1.0, -1, 2
+def line_of(index: list[int], starts: list[int], jump: int = 1) -> Order:
+    """Return places in an order; the numbers of those with which lines begin."""
+    return Order(np.array(index), np.isin(np.arange(len(index)), starts), jump, 1.0)
+
+
+def summed(emissions: Emissions, order: Order, low: int, high: int) -> tuple[float, Array, Array]:
+    """Return evidence, floors and others by the sum over all paths: the slow reference."""
+    K, S = emissions.floor.shape[1:]
+    usual, jumping = step_table(low, high), step_table(low, high, order.jump)
+    total, floor, other = 0.0, np.zeros((K, S)), np.zeros(K)
+    for path in product(range(S + 1), repeat=K):
+        weight, last = 1.0, S
         for k, state in enumerate(path):
-            stay = _OTHER[kind] if filled[0, k] else 1.0
-            go = 1.0 - _OTHER[kind] if filled[0, k] else 1.0
-            if state == 4:
-                weight *= stay * emit_other[0, k]
-                kind = 1 if last >= 0 else 2
+            away = (OTHER_BEFORE if last == S else OTHER) if emissions.filled[0, k] else None
+            if state == S:
+                weight *= (1.0 if away is None else away) * emissions.other[0, k]
                 continue
-            table = steps.jump[0] if steps.changes[0, k] else steps.step
-            weight *= go * (steps.first[state] if last < 0 else table[last, state]) * emit[0, k, state]
-            last, kind = state, 0
+            table = jumping if order.jump > 1 and order.starts[k] else usual
+            weight *= (1.0 if away is None else 1.0 - away) * table[last, state] * emissions.floor[0, k, state]
+            last = state
         total += weight
         for k, state in enumerate(path):
-            marginal[k, state] += weight
-    np.testing.assert_allclose(evidence[0], np.log(total), rtol=1e-10)
-    np.testing.assert_allclose(floor[0], marginal[:, :4] / total, rtol=1e-9)
-    np.testing.assert_allclose(other[0], marginal[:, 4] / total, rtol=1e-9)
+            if state == S:
+                other[k] += weight
+            else:
+                floor[k, state] += weight
+    return total, floor / total, other / total
 
 
-def test_probabilities_of_a_cell_add_up() -> None:
+@pytest.mark.parametrize("jump", [1, 2])
+def test_forward_backward_is_the_sum_over_all_paths(jump: int) -> None:
+    rng = np.random.default_rng(4)
+    K = 6
+    filled = np.array([[True, False, True, True, False, True]])
+    given = Emissions(rng.uniform(0.1, 1.0, (1, K, 3)), rng.uniform(0.1, 1.0, (1, K)), filled)
+    order = line_of([0, 1, 2, 3, 4, 5], [0, 2, 4], jump)
+    found = forward_backward(given, np.array([1, 2, 3]), [order])
+    total, floor, other = summed(given, order, 1, 3)
+    # Sums of a few hundred products.
+    np.testing.assert_allclose(found.evidence[0], np.log(total), rtol=1e-10)
+    np.testing.assert_allclose(found.floor[0], floor, rtol=1e-9)
+    np.testing.assert_allclose(found.other[0], other, rtol=1e-9)
+
+
+def test_steps_to_the_next_floor_are_probabilities() -> None:
+    for jump in (1, 3):
+        table = step_table(-2, 60, jump)
+        # Far from the end of the considered numbers, where nothing is cut off.
+        np.testing.assert_allclose(table[:20].sum(axis=1), 1.0, atol=0.02)
+        assert (table > 0).all() and table[5].argmax() == 5 + jump
+    assert step_table(1, 20)[11].argmax() == 13
+
+
+def grid_reading(labels: list[list[str]]) -> GridFit:
+    """Return the view's fit with other labels on its cells."""
+    fit = fitted({})
+    texts = [labels[r][c] for r, c in fit.cells]
+    return replace(fit, detections=tuple(replace(d, label=t) for d, t in zip(fit.detections, texts, strict=True)))
+
+
+ORDERS = {
+    "rows up": lambda r, c: 1 + 3 * (5 - r) + c,
+    "rows up from the right": lambda r, c: 1 + 3 * (5 - r) + 2 - c,
+    "columns up": lambda r, c: 1 + 6 * c + 5 - r,
+    "rows down": lambda r, c: 1 + 3 * r + c,
+    "decades": lambda r, c: 10 * (5 - r) + 1 + c,
+    "odd rows": lambda r, c: 5 * (5 - r) + 3 + c,
+}
+
+
+@pytest.mark.parametrize("name", list(ORDERS))
+def test_every_usual_order_of_numbering_is_recognised(name: str) -> None:
+    """One floor unread and one misread: both follow from the others."""
+    labels = [[str(ORDERS[name](r, c)) for c in range(3)] for r in range(6)]
+    spoilt = [row.copy() for row in labels]
+    spoilt[2][1], spoilt[4][1] = "", labels[4][1][:-1] + ("1" if labels[4][1].endswith("7") else "7")
+    buttons = {(b.row, b.column): b for b in grid_reading(spoilt).buttons}
+    assert (buttons[2, 1].label, buttons[2, 1].label_source) == (labels[2][1], "inferred")
+    assert (buttons[4, 1].label, buttons[4, 1].label_source) == (labels[4][1], "corrected")
+    others = [(r, c) for r, c in np.ndindex(6, 3) if (r, c) not in [(2, 1), (4, 1)]]
+    assert all(buttons[place].label == labels[place[0]][place[1]] for place in others)
+
+
+def test_probabilities_of_a_place_add_up() -> None:
     rng = np.random.default_rng(5)
-    labels = tuple(str(rng.integers(-3, 40)) if rng.random() < 0.7 else "" for _ in range(24))
-    filled = rng.random(24) < 0.8
-    reads = Reads(labels, rng.random(24), filled, present(filled.reshape(8, 3)).ravel())
-    floors = floors_of(reads, 8, 3)
+    labels = [[str(rng.integers(-3, 40)) if rng.random() < 0.7 else "" for _ in range(3)] for _ in range(6)]
+    fit = grid_reading(labels)
+    floors = fit.reading.floors
+    assert floors is not None
     np.testing.assert_allclose(floors.floor.sum(axis=1) + floors.other, 1.0, atol=1e-9)
 
 
@@ -127,10 +183,10 @@ def test_a_cell_that_the_order_skips_stays_empty() -> None:
 
 
 def test_cells_inside_are_likelier_filled_than_corners() -> None:
-    filled = np.ones((5, 3), dtype=bool)
-    filled[2, 1] = filled[0, 0] = False
-    prior = present(filled)
-    assert prior[2, 1] > 0.9 > 0.5 > prior[0, 0] and prior[filled].min() == 1.0
+    """Without labels, the layout alone tells."""
+    middle, corner = (next(k for k in range(18) if tuple(VIEW.panel.cells[k]) == cell) for cell in ((2, 1), (0, 2)))
+    fit = fitted(dict.fromkeys(range(18), ""), without=(middle, corner))
+    assert at(fit, middle).probability > 0.7 > at(fit, corner).probability
 
 
 @pytest.mark.parametrize("text", ["", "\x00", "x" * 500, "7\n", "\u202e7", "-", "--3", "٣"])

@@ -1,4 +1,4 @@
-"""From a fitted grid to the button that means what was asked for, or the reason why it is not certain."""
+"""The buttons of a fitted panel: where each is, how surely it is one, and what it means."""
 
 from __future__ import annotations
 
@@ -6,168 +6,135 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from elevator_rectify.core.cells import Cells, cells_of, probability_of
-from elevator_rectify.core.config import LabelsConfig, TargetConfig
-from elevator_rectify.core.labels import canonical
+from elevator_rectify.core.config import LabelsConfig
 from elevator_rectify.core.pose import covariance_at
-from elevator_rectify.core.types import Array, Button, Detection, GridFit
+from elevator_rectify.core.reading import Reading, as_read
+from elevator_rectify.core.types import Array, Button, GridFit
 
 # A button's width over the pitch, where its box has no size.
 _USUAL_SHARE = 0.6
-DEFAULT_TARGET, DEFAULT_LABELS = TargetConfig(), LabelsConfig()
-# A second button with more than this probability of the label is named as a candidate.
-_CANDIDATE = 0.1
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The button that was asked for, or None and why: status and reason."""
-
-    button: Button | None
-    status: str
-    reason: str = ""
+DEFAULT_LABELS = LabelsConfig()
 
 
 def buttons_of(fit: GridFit, config: LabelsConfig = DEFAULT_LABELS) -> tuple[Button, ...]:
-    """Return the places of an accepted fit, row by row, with what is known of their labels."""
+    """Return the places of an accepted fit, row by row, then those beside the grid, with what is known of each."""
     if not fit.ok:
         return ()
-    cells = cells_of(fit)
-    return tuple(_button(fit, cells, k, config) for k in range(fit.rows * fit.columns))
+    where, meant, normal = _where(fit), _meant(fit.reading, config), -fit.R_camera_panel[:, 2]
+    return tuple(_button(fit, where, meant[k], normal, k, config) for k in range(len(meant)))
 
 
-def _button(fit: GridFit, cells: Cells, k: int, config: LabelsConfig) -> Button:
-    row, column = divmod(k, fit.columns)
-    point, detection = fit.grid_points[row, column], int(cells.detection[k])
-    given = fit.detections[detection] if fit.detections and detection >= 0 else None
-    state = "observed" if detection >= 0 else "inferred" if cells.present[k] >= config.min_button else "empty"
-    label, source, probability = _label(cells, k, config) if state != "empty" else ("", "", 0.0)
+def _button(
+    fit: GridFit, where: _Where, meant: tuple[str, str, float], normal: Array, k: int, config: LabelsConfig
+) -> Button:
+    places, present = fit.reading.places, float(fit.reading.present[k])
+    detection = int(places.detection[k])
+    row, column = divmod(k, fit.columns) if k < places.cells else (-1, -1)
+    state = "observed" if detection >= 0 else "inferred" if present >= config.min_button else "empty"
+    label, source, probability = meant if state != "empty" else ("", "", 0.0)
     return Button(
-        block=(int(fit.row_block[row]), int(fit.column_block[column])),
+        block=(int(fit.row_block[row]), int(fit.column_block[column])) if row >= 0 else (-1, -1),
         row=row,
         column=column,
-        image_px=_image_px(fit, row, column),
-        panel=fit.grid_panel[row, column],
-        point=point,
-        covariance=covariance_at(fit.covariance, point - fit.t_camera_panel)[:3, :3],
-        normal=-fit.R_camera_panel[:, 2],
-        size=_size(fit, row, column, given),
+        image_px=where.image_px[k],
+        panel=places.panel[k],
+        point=where.point[k],
+        covariance=where.covariance[k],
+        normal=normal,
+        size=(float(where.size[k, 0]), float(where.size[k, 1])),
         label=label,
-        read=cells.read[k],
-        score=1.0 if given is None and detection >= 0 else float(cells.score[k]),
+        read=places.read[k],
+        score=float(places.score[k]) if fit.detections or detection < 0 else 1.0,
         detection=detection,
         state=state,
-        probability=1.0 if detection >= 0 else float(cells.present[k]),
+        probability=present,
         label_source=source,
         label_probability=probability,
     )
 
 
-def _label(cells: Cells, k: int, config: LabelsConfig) -> tuple[str, str, float]:
-    """Return the cell's label, where it is from, and how probable it is."""
-    read, floors = cells.label[k], cells.floors
-    as_read = float(probability_of(cells, read)[k]) if read else 0.0
+def _meant(reading: Reading, config: LabelsConfig) -> list[tuple[str, str, float]]:
+    """Return of every place what its label is, where that is from, and how probable it is."""
+    labels, right, floors = reading.places.label, as_read(reading), reading.floors
     if floors is None:
-        return read, "read" if read else "", as_read
-    best = int(floors.floor[k].argmax())
-    likeliest, p = str(floors.numbers[best]), float(floors.floor[k, best])
+        return [(read, "read" if read else "", float(p)) for read, p in zip(labels, right, strict=True)]
+    likeliest = [str(floors.numbers[best]) for best in floors.floor.argmax(axis=1)]
+    probability = floors.floor.max(axis=1)
+    # Where nothing was detected: given that there is a button.
+    given = np.minimum(1.0, probability / np.where(reading.places.detection < 0, reading.present, 1.0))
+    return [
+        _label(read, float(as_it_is), floor, float(p), float(if_there), config)
+        for read, as_it_is, floor, p, if_there in zip(labels, right, likeliest, probability, given, strict=True)
+    ]
+
+
+def _label(
+    read: str, right: float, likeliest: str, p: float, if_there: float, config: LabelsConfig
+) -> tuple[str, str, float]:
+    """Return the label of one place: the likeliest floor, or what was read, right with that probability."""
     if read and likeliest != read and p >= config.min_correction:
         return likeliest, "corrected", p
     if read:
-        return read, "read", as_read
-    # Where nothing was detected: given that there is a button.
-    p = p / max(float(cells.present[k]), 1e-9) if cells.detection[k] < 0 else p
-    return (likeliest, "inferred", min(p, 1.0)) if p >= config.min_inference else ("", "", 0.0)
+        return read, "read", right
+    return (likeliest, "inferred", if_there) if if_there >= config.min_inference else ("", "", 0.0)
 
 
-def _image_px(fit: GridFit, row: int, column: int) -> Array:
-    """Return the button's centre as the picture shows it, or else its cell's."""
-    if fit.measurement is not None and np.isfinite(fit.measurement.centre_px[row, column]).all():
-        return np.asarray(fit.measurement.centre_px[row, column])
-    return np.asarray(fit.grid_px[row, column])
+@dataclass(frozen=True)
+class _Where:
+    """Of K places: image_px (K, 2), point (K, 3) with covariance (K, 3, 3), size (K, 2)."""
+
+    image_px: Array
+    point: Array
+    covariance: Array
+    size: Array
 
 
-def _size(fit: GridFit, row: int, column: int, detection: Detection | None) -> tuple[float, float]:
-    """Return the button's width and height: as measured, or else its box over the distances around its cell."""
+def _where(fit: GridFit) -> _Where:
+    """Return where the buttons are: cells by the lattice, the others by their detections."""
+    places = fit.reading.places
+    point = places.panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+    covariance = covariance_at(fit.covariance, point - fit.t_camera_panel)[:, :3, :3]
+    per_px = _per_px(fit)
+    # The lattice says nothing of what is beside it: the detection's own error counts.
+    across = fit.R_camera_panel[:, :2] * (fit.rms_px * per_px[places.cells :])[:, None]
+    covariance[places.cells :] += across @ np.swapaxes(across, 1, 2)
+    return _Where(_image_px(fit), point, covariance, _size(fit, per_px))
+
+
+def _image_px(fit: GridFit) -> Array:
+    """Return the buttons' centres (K, 2) as the picture shows them, or else their cells', or their detections'."""
+    places = fit.reading.places
+    cells = fit.grid_px.reshape(-1, 2)
     if fit.measurement is not None:
-        width, height = 2.0 * fit.measurement.half_size
-        return float(width), float(height)
-    if detection is None or not (detection.width_px > 0 and detection.height_px > 0):
-        usual = _USUAL_SHARE * float(fit.pitch.min())
-        return usual, usual
-    across = _per_px(fit, row, column, axis=1)
-    down = _per_px(fit, row, column, axis=0)
-    return detection.width_px * across, detection.height_px * down
+        seen = fit.measurement.centre_px.reshape(-1, 2)
+        cells = np.where(np.isfinite(seen), seen, cells)
+    beside = [(fit.detections[k].x_px, fit.detections[k].y_px) for k in places.detection[places.cells :]]
+    return np.concatenate([cells, np.array(beside).reshape(-1, 2)])
 
 
-def _per_px(fit: GridFit, row: int, column: int, axis: int) -> float:
-    """Return the length on the panel of a pixel along a row (axis 1) or column (0), at a cell."""
-    index, last = (row, column)[axis], fit.grid_px.shape[axis] - 1
-    here, there = (row, column), [row, column]
-    there[axis] = index + 1 if index < last else index - 1
-    pixels = float(np.linalg.norm(fit.grid_px[tuple(there)] - fit.grid_px[here]))
-    return float(np.linalg.norm(fit.grid_panel[tuple(there)] - fit.grid_panel[here])) / max(pixels, 1e-9)
+def _size(fit: GridFit, per_px: Array) -> Array:
+    """Return the buttons' widths and heights (K, 2): as measured, or else of their boxes, or the usual ones."""
+    index = fit.reading.places.detection
+    if fit.measurement is not None:
+        return np.tile(2.0 * fit.measurement.half_size, (len(index), 1))
+    if not fit.detections:
+        return np.full((len(index), 2), _USUAL_SHARE * float(fit.pitch.min()))
+    boxes = np.nan_to_num([(d.width_px, d.height_px) for d in fit.detections])[index]
+    known = (boxes > 0).all(axis=1) & (index >= 0)
+    return np.where(known[:, None], boxes * per_px, _USUAL_SHARE * float(fit.pitch.min()))
 
 
-def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET) -> Choice:
-    """Return the one button of the fit that means `target` ('7', 'open', 'B1'), or why there is none.
-
-    A wrong pose presses a wrong button: a label that another button may have too, that is not surely what was asked
-    for, or a place that is not known well enough are reasons to refuse. Spellings are unified (`labels.canonical`).
-    """
-    name = canonical(target)
-    if not name:
-        return Choice(None, "empty_target", "the target is empty")
-    if not fit.ok:
-        return Choice(None, "no_panel", f"{fit.status}: {fit.reason}")
-    cells = cells_of(fit)
-    probability = probability_of(cells, name)
-    order = np.argsort(-probability, kind="stable")
-    first, second = (float(probability[order[k]]) if k < len(order) else 0.0 for k in (0, 1))
-    button = fit.buttons[order[0]]
-    if first < 0.5 and second < _CANDIDATE:
-        read = sorted({b.label for b in fit.buttons if b.label})
-        return Choice(None, "unknown_label", f"no button is labelled {name}; known are: {', '.join(read) or 'none'}")
-    if second > _CANDIDATE:
-        places = ", ".join(f"({fit.buttons[k].row}, {fit.buttons[k].column})" for k in order[:2])
-        return Choice(None, "two_candidates", f"{name} may be at the cells {places}")
-    others = _other_readings(fit, button) - {name, ""}
-    if others:
-        return Choice(None, "two_candidates", f"the cell of {name} is read as {', '.join(sorted(others))} too")
-    return _decided(fit, button, name, first * (1.0 - second), config)
-
-
-def _other_readings(fit: GridFit, button: Button) -> set[str]:
-    """Return what the other detections of the button's cell read."""
-    mine = np.flatnonzero((fit.cells == [button.row, button.column]).all(axis=1))
-    return {canonical(fit.detections[k].label) for k in mine if fit.detections and k != button.detection}
-
-
-def _decided(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
-    """Refuse a button whose label is not sure."""
-    if button.detection < 0 and not config.allow_inferred:
-        return Choice(None, "inferred_only", f"{name} was not detected; target.allow_inferred is off")
-    as_read = canonical(button.read) == name
-    if as_read and not button.score >= config.min_score:
-        return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
-    if probability < config.min_probability:
-        reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"
-        return Choice(None, "unsure_label", reason)
-    return _placed(fit, button, config)
-
-
-def _placed(fit: GridFit, button: Button, config: TargetConfig) -> Choice:
-    """Refuse a button whose place is not known well enough to press it."""
-    if not fit.metric:
-        return Choice(None, "unknown_scale", "the scale is unknown: set scale.column_pitch_m or use a depth image")
-    spread = lateral_std(button)
-    if spread > config.max_lateral_std_m:
-        reason = f"{button.label} is known to {spread:.4f} m sideways, {config.max_lateral_std_m:g} allowed"
-        return Choice(None, "uncertain", reason)
-    return Choice(button, "found")
-
-
-def lateral_std(button: Button) -> float:
-    """Return the standard deviation of the button's place across the pressing direction, along the worse axis."""
-    across: Array = np.linalg.svd(button.normal[None])[2][1:]
-    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(across @ button.covariance @ across.T)[-1])))
+def _per_px(fit: GridFit) -> Array:
+    """Return the lengths on the panel (K, 2) of a pixel along a row and along a column, at the places' cells."""
+    places, lengths = fit.reading.places, []
+    for axis in (1, 0):
+        pixels = np.linalg.norm(np.diff(fit.grid_px, axis=axis), axis=2)
+        panel = np.linalg.norm(np.diff(fit.grid_panel, axis=axis), axis=2)
+        ratio = panel / np.maximum(pixels, 1e-9)
+        if not ratio.size:
+            ratio = np.full((fit.rows, fit.columns), np.nan)
+        lengths.append(np.concatenate([ratio, ratio.take([-1], axis=axis)], axis=axis)[: fit.rows, : fit.columns])
+    cell = np.clip(places.line.round(), 0, (fit.rows - 1, fit.columns - 1)).astype(int)
+    both = np.stack(lengths, axis=-1)[cell[:, 0], cell[:, 1]]
+    # One row or column has a length along the other axis only.
+    return np.asarray(np.where(np.isfinite(both), both, both[:, ::-1]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import unicodedata
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 # One function button a line, with its other spellings; users may extend the file.
@@ -23,6 +23,7 @@ def aliases(path: Path = ALIASES) -> dict[str, str]:
     return {_plain(spelling): name for name, spellings in table.items() for spelling in (name, *spellings)}
 
 
+@lru_cache(maxsize=4096)
 def canonical(text: str) -> str:
     """Return the one spelling of a label: 'open' for '<|>', '7' for ' 07 ', 'B1' for 'b1', '1' for '*1'; '' for none.
 

@@ -1,12 +1,13 @@
-"""How printed floors are misread: the probability of one number being read as another, and look-alikes of digits."""
+"""How printed labels are read and misread: what a reading says of the floor that is printed there."""
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
-from elevator_rectify.core.types import Array
+from elevator_rectify.core.places import Places
+from elevator_rectify.core.types import Array, IntArray
 
 LOWEST, HIGHEST = -9, 130
 # Pairs of digits that look alike, and how much likelier they are exchanged than others.
@@ -14,6 +15,12 @@ _ALIKE = {"17": 4, "38": 4, "56": 3, "68": 4, "08": 3, "06": 2, "35": 2, "89": 2
 _LETTERS = str.maketrans({"I": "1", "L": "1", "|": "1", "O": "0", "Q": "0", "S": "5", "Z": "2", "B": "8", "G": "6"})
 # Shares of the errors: one digit exchanged, one lost, one too many, anything else.
 _EXCHANGED, _LOST, _ADDED, _ANYTHING = 0.7, 0.12, 0.08, 0.1
+# A label is right with this probability where scores say nothing, or at the score's bounds where they do.
+_RIGHT, _LEAST_RIGHT, _MOST_RIGHT = 0.9, 0.05, 0.97
+# Of letters and controls, at score 0 and 1: there are so many of them, and they are seldom taken for numbers.
+_RIGHT_OTHER = (0.92, 0.99)
+_LABELS, _OTHER_AS_NUMBER, _LOOK_ALIKE = 40.0, 0.002, 0.3
+_FLOOR_AS_OTHER = 0.02
 
 
 def looks_like(text: str) -> str:
@@ -52,3 +59,56 @@ def confusion() -> Array:
 
 def _likeness(one: str, other: str) -> float:
     return float(_ALIKE.get(min(one, other) + max(one, other), 1))
+
+
+@lru_cache(maxsize=4096)
+def is_number(label: str) -> bool:
+    """Tell whether a label is the number of a floor that buildings have."""
+    body = label.removeprefix("-")
+    return body.isascii() and body.isdigit() and len(body) < 4 and LOWEST <= int(label) <= HIGHEST
+
+
+def reader_qualities(score: Array) -> Array:
+    """Return (Q, K) how probably each label is right, by hypothesis: whatever its score is, or just by that."""
+    return np.array([np.full(len(score), _RIGHT), np.clip(score, _LEAST_RIGHT, _MOST_RIGHT)])
+
+
+def right_alone(label: str, score: Array) -> Array:
+    """Return the probability that a label, read with these scores, is right, whatever the others are."""
+    low, high = (0.55, 0.93) if label and is_number(label) else _RIGHT_OTHER
+    return np.asarray(low + (high - low) * np.clip(np.nan_to_num(score), 0.0, 1.0))
+
+
+def emissions_of(places: Places, present: Array, right: Array, numbers: IntArray) -> tuple[Array, Array]:
+    """Return the likelihoods (Q, K, S) of each place's reading for every floor, and (Q, K) for something else.
+
+    present (K,), right (Q, K): the probabilities that there is a button, and that it is read right, by Q hypotheses.
+    """
+    filled = places.filled
+    floor = np.repeat(np.where(filled, 1.0, present)[:, None], len(numbers), axis=1) * np.ones((len(right), 1, 1))
+    other = np.where(filled, 1.0, 1.0 - present) * np.ones((len(right), 1))
+    labelled = [k for k in np.flatnonzero(filled).tolist() if places.label[k]]
+    at = [k for k in labelled if is_number(places.label[k])]
+    read = np.array([int(places.label[k]) for k in at], dtype=np.int64)
+    floor[:, at], other[:, at] = _of_numbers(read, right[:, at], numbers)
+    texts = sorted(set(labelled) - set(at))
+    floor[:, texts], other[:, texts] = _of_texts([places.label[k] for k in texts], right[:, texts], numbers)
+    return floor, other
+
+
+def _of_numbers(read: IntArray, right: Array, numbers: IntArray) -> tuple[Array, Array]:
+    """Return the likelihoods (Q, N, S) and (Q, N) of readings (N,) that are numbers."""
+    wrong, here = 1.0 - right, read[:, None] == numbers
+    misread = confusion()[numbers[None, :] - LOWEST, read[:, None] - LOWEST]
+    floor = np.where(here, right[..., None], wrong[..., None] * misread)
+    # A number far off all others may yet be printed there.
+    apart = np.where(here.any(axis=1), 0.0, _OTHER_AS_NUMBER / _LABELS)
+    return floor, wrong / len(confusion()) + apart * right
+
+
+def _of_texts(read: list[str], right: Array, numbers: IntArray) -> tuple[Array, Array]:
+    """Return the same of readings that are none."""
+    sure = right_alone("", right)
+    alike = [looks_like(text) for text in read]
+    here = np.array([int(a) if is_number(a) else HIGHEST + 1 for a in alike], dtype=np.int64)[:, None] == numbers
+    return (1.0 - sure)[..., None] * np.where(here, _LOOK_ALIKE, _FLOOR_AS_OTHER / _LABELS), sure / _LABELS

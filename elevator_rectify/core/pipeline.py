@@ -89,14 +89,24 @@ def fit_panels(
         points = subset if subset and isinstance(subset[0], Detection) else np.array(subset).reshape(-1, 2)
         fit = fit_panel(points, camera, config, image=image)
         if fits and not np.isfinite(fit.t_camera_panel).all():
-            return fits
+            return _apart(fits)
         cells = np.full((len(detections), 2), -1, dtype=np.int64)
-        cells[left] = fit.cells
-        fits.append(replace(fit, cells=cells, detections=_as_given(detections)))
+        rays = np.full((len(detections), 2), np.nan)
+        cells[left], rays[left[: len(fit.rays)]] = fit.cells, fit.rays
+        fits.append(replace(fit, cells=cells, rays=rays, detections=_as_given(detections)))
         taken = fit.cells[:, 0] >= 0
         if not taken.any() or len(left) - taken.sum() < config.input.min_detections:
-            return fits
+            return _apart(fits)
         left = left[~taken]
+
+
+def _apart(fits: list[GridFit]) -> list[GridFit]:
+    """Return the fits, none of which takes another's buttons for its own."""
+    taken = np.array([fit.cells[:, 0] >= 0 for fit in fits])
+    return [
+        replace(fit, rays=np.where((taken.any(axis=0) & ~own)[:, None], np.nan, fit.rays))
+        for fit, own in zip(fits, taken, strict=True)
+    ]
 
 
 def _as_given(detections: Array | Sequence[Detection]) -> tuple[Detection, ...]:

@@ -93,7 +93,8 @@ def scale_pose_covariance(covariance: Array, t: Array, pitch: float, pitch_std: 
 
 
 def covariance_at(covariance: Array, arm: Array) -> Array:
-    """Return the covariance (6, 6) of the pose at another point of the panel, `arm` (3,) away in the camera frame."""
-    T = np.eye(6)
-    T[:3, 3:] = -cross_matrix(arm)
-    return np.asarray(T @ covariance @ T.T)
+    """Return the covariance (..., 6, 6) of the pose at other points of the panel, `arm` (..., 3) away in the camera
+    frame."""
+    T = np.broadcast_to(np.eye(6), (*arm.shape[:-1], 6, 6)).copy()
+    T[..., :3, 3:] = -cross_matrix(arm)
+    return np.asarray(T @ covariance @ np.swapaxes(T, -1, -2))

@@ -201,6 +201,8 @@ def with_geometry(found: GridFit, geometry: Geometry, usable: Usable, camera: Ca
     points = pose.camera_points(nodes) * unit
     all_cells = np.full((usable.number, 2), -1, dtype=np.int64)
     all_cells[usable.index] = cells
+    rays = np.full((usable.number, 2), np.nan)
+    rays[usable.index] = usable.rays
     error = _errors(pose, nodes, cells, usable.rays)
     rows, columns = nodes.shape[:2]
     return replace(
@@ -211,6 +213,7 @@ def with_geometry(found: GridFit, geometry: Geometry, usable: Usable, camera: Ca
         pitch=np.array([1.0, pose.aspect]) * unit,
         covariance=scale_pose_covariance(geometry.covariance, pose.t, unit, std),
         cells=all_cells,
+        rays=rays,
         rows=rows,
         columns=columns,
         row_positions=np.arange(rows, dtype=float),

@@ -19,9 +19,9 @@ def cell_text(button: Button) -> str:
 
 
 def text_grid(buttons: Sequence[Button]) -> str:
-    """Return the places of a panel (`fit.buttons`) row by row; an empty line between blocks."""
-    texts = {(b.row, b.column): cell_text(b) for b in buttons}
-    blocks = {b.row: b.block[0] for b in buttons}
+    """Return the places of a panel (`fit.buttons`) row by row; an empty line between blocks; those beside it last."""
+    texts = {(b.row, b.column): cell_text(b) for b in buttons if b.row >= 0}
+    blocks = {b.row: b.block[0] for b in buttons if b.row >= 0}
     width = max((len(t) for t in texts.values()), default=1)
     lines = []
     for row in range(1 + max(blocks, default=-1)):
@@ -29,4 +29,5 @@ def text_grid(buttons: Sequence[Button]) -> str:
             lines.append("")
         columns = sorted(c for r, c in texts if r == row)
         lines.append(" ".join(texts[row, c].rjust(width) for c in columns))
-    return "\n".join(lines)
+    beside = [cell_text(b) for b in buttons if b.row < 0]
+    return "\n".join(lines + (["", "beside the grid: " + " ".join(beside)] if beside else []))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from elevator_rectify.core.camera import Camera
+    from elevator_rectify.core.reading import Reading
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,9 +41,10 @@ class Button:
 
     state: 'observed' where a detection is, 'inferred' where the picture or the panel's order says that there is one,
     'empty' else; probability: that there is a button. image_px: (2,) its centre in the (distorted) image; panel: (2,)
-    its cell in the panel frame; point: (3,) in the camera frame, with covariance (3, 3); normal: (3,) unit vector out
-    of the panel, towards the camera; size: its width and height. Lengths are in the fit's unit. label: what it means
-    (`canonical`), label_source: 'read', 'corrected' (another one was read), 'inferred' (none was) or '' (no label);
+    its place in the panel frame, the cell's, or the detection's where it lies beside the grid (row, column and block
+    are -1 then); point: (3,) in the camera frame, with covariance (3, 3); normal: (3,) unit vector out of the panel,
+    towards the camera; size: its width and height. Lengths are in the fit's unit. label: what it means (`canonical`),
+    label_source: 'read', 'corrected' (another one was read), 'inferred' (none was) or '' (no label);
     label_probability: that it is right; read: as the detector wrote it, score: the detector's, detection: index into
     the input, -1 for none.
     """
@@ -96,7 +98,8 @@ class GridFit:
     a pitch down; row_block, column_block: number of the regular block, counted from 0, divided by gaps that are no
     whole pitch. alternatives: with status 'ambiguous', the other poses that explain the detections almost as well;
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
-    a list; `cells` has the same order. measurement: of the buttons in the picture, where one was given and showed them.
+    a list; `cells` has the same order, and so have rays (N, 2), the detections in undistorted normalised coordinates,
+    NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them.
     """
 
     status: str
@@ -128,6 +131,7 @@ class GridFit:
     margin_nats: float = float("inf")
     alternatives: tuple[GridFit, ...] = ()
     detections: tuple[Detection, ...] = ()
+    rays: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measurement: Measurement | None = None
 
     @property
@@ -137,10 +141,17 @@ class GridFit:
 
     @cached_property
     def buttons(self) -> tuple[Button, ...]:
-        """Return the grid's places, row by row, with their labels; none where the pose may not be used."""
+        """Return the grid's places, row by row, then the buttons beside it; none where the pose may not be used."""
         from elevator_rectify.core.buttons import buttons_of
 
         return buttons_of(self)
+
+    @cached_property
+    def reading(self) -> Reading:
+        """Return what the panel's labels and layout say of its places."""
+        from elevator_rectify.core.reading import read_panel
+
+        return read_panel(self)
 
 
 @dataclass(frozen=True)

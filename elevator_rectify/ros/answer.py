@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from elevator_rectify.core.buttons import Choice, buttons_of, find_button
+from elevator_rectify.core.buttons import buttons_of
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config, LabelsConfig
 from elevator_rectify.core.draw import draw_overlay
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.scale import with_scale
+from elevator_rectify.core.target import Choice, find_button
 from elevator_rectify.core.track import Track, smoothed
 from elevator_rectify.core.types import Array, Button, Detection, GridFit, Image, Rectification
 from elevator_rectify.core.warp import rectify_image

@@ -13,7 +13,8 @@ from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion
 def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: Make) -> Any:
     """Return one Detection3D per button of the grid: pose at its cell, facing into the panel, label and score.
 
-    id is "row,column", and "row,column,inferred" for one without a detection; results[0].hypothesis has the button's
+    id is "row,column", "row,column,inferred" for one without a detection, "beside,N" for detection N beside the grid.
+    results[0].hypothesis has the button's
     label as class_id. Its score is the detector's where the label is as read, else the label's probability.
     """
     found = [_detection(fit, button, header, make) for button in buttons if button.state != "empty"]
@@ -23,13 +24,20 @@ def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: 
 def _detection(fit: GridFit, button: Button, header: Any, make: Make) -> Any:
     pose = pose_of(button.point, quaternion(fit.R_camera_panel), make)
     covariance = message_covariance(fit, button.point - fit.t_camera_panel)
+    if fit.metric:
+        covariance[:3, :3] = button.covariance
     hypothesis = make("vision_msgs/msg/ObjectHypothesis", class_id=button.label, score=_score(button))
     with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
     result = make("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
     size = make("geometry_msgs/msg/Vector3", x=float(button.size[0]), y=float(button.size[1]), z=0.0)
     box = make("vision_msgs/msg/BoundingBox3D", center=pose, size=size)
-    place = f"{button.row},{button.column}" + (",inferred" if button.state == "inferred" else "")
-    return make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=place)
+    return make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=_id(button))
+
+
+def _id(button: Button) -> str:
+    if button.row < 0:
+        return f"beside,{button.detection}"
+    return f"{button.row},{button.column}" + (",inferred" if button.state == "inferred" else "")
 
 
 def _score(button: Button) -> float:
