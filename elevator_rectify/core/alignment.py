@@ -16,8 +16,10 @@ from elevator_rectify.core.types import Array, BoolArray, IntArray
 _FLOOR_PX = 0.05
 # A detected button further from its place, in half sizes, or less like the template keeps its box.
 _WORST_OFFSET, _WORST_CORRELATION, _LEAST_INSIDE = 0.55, 0.35, 0.6
-# A cell without detection is a button only if it is near its place and as much like the template as the others.
-_UNDETECTED_OFFSET, _UNDETECTED_CORRELATION, _UNDETECTED_SHARE, _UNDETECTED_INSIDE = 0.3, 0.45, 0.6, 0.95
+# A cell without detection is a button only if it is near its place and as much like the template as the others: the
+# farthest, in half sizes, the least correlation, as such and over the usual one, and the least share in the picture.
+# One exactly at its place may be less like them, where it shines; one like the others may be cut by the border.
+_UNDETECTED = (np.array([0.3, 0.45, 0.6, 0.95]), np.array([0.1, 0.45, 0.5, 0.95]), np.array([0.1, 0.45, 0.85, 0.7]))
 _FARTHEST_CENTRE = 0.3
 # What all boxes are off alike, and what the centre of symmetry is off by shadows and lights, in pixels.
 _BOX_BIAS_PX, _SYMMETRY_STD_PX = 0.3, 0.5
@@ -100,12 +102,11 @@ def undetected(
     patches, inside = sample(picture, fit.pose.maps[0], lattice, window)
     found = align(template, feature(patches, template.blur), inside)
     offset = found.shift * window.step
-    usual = float(np.median(places.correlation))
-    seen = (
-        (np.hypot(*(offset / half).T) < _UNDETECTED_OFFSET)
-        & (found.correlation > max(_UNDETECTED_CORRELATION, _UNDETECTED_SHARE * usual))
-        & (inside.mean(axis=(1, 2)) > _UNDETECTED_INSIDE)
-    )
+    usual, off = float(np.median(places.correlation)), np.hypot(*(offset / half).T)
+    seen = np.zeros(len(nodes), dtype=bool)
+    for farthest, least, share, least_inside in _UNDETECTED:
+        alike = found.correlation > max(least, share * usual)
+        seen |= (off < farthest) & alike & (inside.mean(axis=(1, 2)) > least_inside)
     per_ray = np.linalg.inv(jacobians(fit.pose, lattice[seen][None])[2][0])
     covariance = _in_pitches(found.covariance[seen], window) + _floor(picture) * (per_ray @ np.swapaxes(per_ray, 1, 2))
     return Places(nodes[seen], offset[seen], covariance, found.correlation[seen], seen[seen], ~seen[seen])

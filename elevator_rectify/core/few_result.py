@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.few import FewFit, fit_few
 from elevator_rectify.core.lattice_fit import rotations
-from elevator_rectify.core.outlines import OutlineFit
+from elevator_rectify.core.outlines import OutlineFit, OutlineModel
 from elevator_rectify.core.pose import LatticePose
 from elevator_rectify.core.result import Geometry, with_geometry
 from elevator_rectify.core.straight_edges import Segments, segments_of, sharpened
@@ -28,8 +28,12 @@ _LEAST_SEEN, _LARGEST_RESIDUAL_PX = 0.6, 2.0
 # What a circle says of its turn in the plane: nothing; cameras are held upright to this.
 _UPRIGHT_STD_RAD = 0.1
 _CENTRE_STD_PX = 0.5
-# Buttons on one line are no further off it, in heights.
+# Of rounded squares: their edges' own.
+_OUTLINE_STD_RAD = 0.03
+# Buttons on one line are no further off it, in heights; centres lie off their lines by so much, or anywhere.
 _SAME_LINE = 0.5
+_OFF_LINE, _ANY_PLACE = 0.06, 0.02
+_SAME_TURN_RAD = np.deg2rad(4.0)
 
 
 def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refused: GridFit) -> GridFit:
@@ -44,13 +48,19 @@ def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refuse
         return replace(refused, reason=f"{refused.reason}; the picture shows no outlines")
     shortest = 0.8 * float(usable.sizes_px.mean())
     segments = segments_of(image, camera, shortest) if config.outline.edges else Segments(np.zeros((0, 3)), np.zeros(0))
-    result = _result(found.best, usable, segments, refused, camera, config)
+    turn = _turned(found.best.model, usable, camera)
+    result = _result(found.best, turn, usable, segments, refused, camera, config)
     score = logistic_confidence(few_features(found), COEFFICIENTS)
     result = replace(result, confidence=score, margin_nats=found.margin)
     if found.other is not None and found.margin < config.outline.ambiguity_nats:
-        other = _result(found.other, usable, segments, refused, camera, config)
+        other = _result(
+            found.other, _turned(found.other.model, usable, camera), usable, segments, refused, camera, config
+        )
         reason = f"two poses explain the outlines, {found.margin:.2g} nats apart"
         return replace(result, status="ambiguous", reason=reason, alternatives=(other,))
+    if turn.margin < config.outline.ambiguity_nats:
+        reason = f"the buttons' rows may run another way, {turn.margin:.2g} nats less likely"
+        return replace(result, status="ambiguous", reason=reason)
     return _judged(result, config)
 
 
@@ -95,15 +105,23 @@ def _tilt_covariance(fit: OutlineFit) -> Array:
     return np.asarray(np.linalg.inv(regular)[:2, :2])
 
 
+@dataclass(frozen=True)
+class Turn:
+    """How rows run in the outlines' plane: turned by angle_rad, known to std_rad; margin in nats to any other way."""
+
+    angle_rad: float
+    std_rad: float
+    margin: float
+
+
 def _result(
-    fit: OutlineFit, usable: Usable, segments: Segments, refused: GridFit, camera: Camera, config: Config
+    fit: OutlineFit, turn: Turn, usable: Usable, segments: Segments, refused: GridFit, camera: Camera, config: Config
 ) -> GridFit:
     """Return pose, covariance and grid."""
     model = fit.model
-    R, turn_std = _turned(model.R, usable, model.origin, camera)
-    height = 2.0 * float(model.half[-1])
-    axes = R.copy()
-    covariance = axes[:, :2] @ _tilt_covariance(fit) @ axes[:, :2].T + turn_std**2 * np.outer(axes[:, 2], axes[:, 2])
+    R, height = model.R @ rotations(np.array([[0.0, 0.0, turn.angle_rad]]))[0], 2.0 * float(model.half[-1])
+    axes, turned = model.R[:, :2], turn.std_rad**2 * np.outer(R[:, 2], R[:, 2])
+    covariance = axes @ _tilt_covariance(fit) @ axes.T + turned
     covariance = covariance * config.accept.covariance_scale
     if len(segments.normal):
         R, covariance = sharpened(R, covariance, segments)
@@ -125,10 +143,12 @@ def _result(
     result = with_geometry(
         replace(refused, status="ok", reason=""), geometry, usable, camera, replace(config, scale=scale)
     )
-    seen = np.full((len(rows), len(columns)), fit.seen)
+    seen = np.full((len(rows), len(columns)), np.nan)
+    seen[row, column] = fit.seen
+    centre = np.where(np.isfinite(seen)[..., None], result.grid_px, np.nan)
     half = model.half / pitch * result.pitch[0]
     nothing = np.full((len(rows), len(columns), 2, 2), np.nan)
-    measurement = Measurement(result.grid_px, nothing, seen, half, fit.residual_px / camera.focal_px / pitch, 0.0)
+    measurement = Measurement(centre, nothing, seen, half, fit.residual_px / camera.focal_px / pitch, 0.0)
     return replace(
         result,
         method=METHOD,
@@ -146,18 +166,34 @@ def _size_std(fit: OutlineFit) -> float:
     return float(np.sqrt(max(0.0, np.linalg.inv(regular)[index, index])))
 
 
-def _turned(R: Array, usable: Usable, origin: Array, camera: Camera) -> tuple[Array, float]:
-    """Return the rotation with its axes along the buttons' line, where there are two, and the turn's deviation."""
-    plane = _on_plane(R, origin, usable.rays)
-    if len(plane) < 2:
-        return R, _UPRIGHT_STD_RAD
-    spread = plane - plane.mean(axis=0)
-    along = np.linalg.svd(spread)[2][0]
-    angle = np.arctan2(along[1], along[0])
-    # The line is a row or a column, whichever is nearer.
+def _turned(model: OutlineModel, usable: Usable, camera: Camera) -> Turn:
+    """Return how rows and columns run in the outlines' plane: along the lines that the buttons share, near upright.
+
+    Every pair of buttons may be of one row, of one column, or of neither.
+    """
+    height = 2.0 * float(model.half[-1])
+    plane = _on_plane(model.R, model.origin, usable.rays)
+    one, other = np.triu_indices(len(plane), 1)
+    apart = plane[other] - plane[one]
+    length = np.linalg.norm(apart, axis=1)
+    angle = np.arctan2(apart[:, 1], apart[:, 0])
     angle -= np.pi / 2 * np.round(angle / (np.pi / 2))
-    length = float(np.linalg.norm(spread @ along))
-    return R @ rotations(np.array([[0.0, 0.0, angle]]))[0], float(1.5 * _CENTRE_STD_PX / camera.focal_px / length)
+    upright = _UPRIGHT_STD_RAD if model.round else _OUTLINE_STD_RAD
+    tried = np.append(angle, 0.0)
+    off = angle - tried[:, None]
+    off -= np.pi / 2 * np.round(off / (np.pi / 2))
+    aligned = np.exp(-0.5 * (np.sin(off) * length / (_OFF_LINE * height)) ** 2)
+    nats = np.log(_ANY_PLACE + aligned).sum(axis=1) - 0.5 * (tried / upright) ** 2
+    best = int(nats.argmax())
+    different = np.abs(np.sin(2.0 * (tried - tried[best]))) > np.sin(2.0 * _SAME_TURN_RAD)
+    margin = float(nats[best] - nats[different].max()) if different.any() else np.inf
+    on = aligned[best] > 0.5
+    if not on.any():
+        return Turn(0.0, upright, margin)
+    # The line that the pairs on it share.
+    weight = on * length**2
+    turn = float(tried[best] + (weight * off[best]).sum() / weight.sum())
+    return Turn(turn, float(1.5 * _CENTRE_STD_PX / camera.focal_px / length[on].max()), margin)
 
 
 def _on_plane(R: Array, origin: Array, rays: Array) -> Array:

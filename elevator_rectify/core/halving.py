@@ -14,6 +14,8 @@ from elevator_rectify.core.types import Array, IntArray
 
 # So large a share of the places half-way between must be buttons. The more detections, the less they all skip lines.
 _SHARE, _MOST_BUTTONS = 0.6, 16
+# Plates with the labels lie there too: buttons look like each other as much as this share of the usual correlation.
+_ALIKE = 0.85
 
 
 def halved(
@@ -36,7 +38,8 @@ def halved(
         between = np.setdiff1d(np.arange(finer.layout.nodes.size // 2), old)
         narrower = Window(_narrow(window.half, axis), window.samples)
         shown = undetected(finer, between, places, template, picture, narrower, _narrow(half, axis))
-        if len(shown.node) >= max(2.0, _SHARE * len(between)):
+        alike = shown.correlation > _ALIKE * float(np.median(places.correlation))
+        if alike.sum() >= max(2.0, _SHARE * len(between)):
             return finer
     return None
 

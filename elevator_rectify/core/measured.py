@@ -12,7 +12,8 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.halving import halved
 from elevator_rectify.core.lattice_fit import jacobians, projected, stepped
 from elevator_rectify.core.layout import LayoutFit, design, moved
-from elevator_rectify.core.patches import half_size_pitch, picture_of, window_of
+from elevator_rectify.core.patches import Picture, Window, half_size_pitch, picture_of, window_of
+from elevator_rectify.core.template import Template
 from elevator_rectify.core.types import Array, Image
 
 # Blur of the features in samples, how much coarser the samples are, and the pose's steps, stage by stage.
@@ -27,12 +28,23 @@ _USUAL_HALF = 0.31
 
 
 @dataclass(frozen=True)
+class View:
+    """What places are found with: the picture, the buttons' common look, the window that is sampled, and half (2,) the
+    size of a button in pitches."""
+
+    picture: Picture
+    template: Template
+    window: Window
+    half: Array
+
+
+@dataclass(frozen=True)
 class MeasuredFit:
     """A layout fit to the picture.
 
     rays: (M, 2) where the places are, information: (M, 2, 2) of them, both in normalised units; scatter: standard
     deviation of the panel's own placement, residual: robust rms of the seen buttons from the lattice, in column
-    pitches; half: (2,) the buttons' half size in pitches.
+    pitches; view: what they were found with.
     """
 
     fit: LayoutFit
@@ -41,7 +53,12 @@ class MeasuredFit:
     information: Array
     scatter: float
     residual: float
-    half: Array
+    view: View
+
+    @property
+    def half(self) -> Array:
+        """Return (2,) half the size of a button in pitches."""
+        return self.view.half
 
 
 def measure(
@@ -69,17 +86,17 @@ def measure(
     more = np.setdiff1d(np.arange(fit.layout.nodes.size // 2), boxes.node)
     result, scatter = None, config.measurement.scatter_pitch
     for number, (blur, coarser, steps) in enumerate(stages):
-        view = window.coarser(coarser)
-        places, template = located(fit, boxes, picture, view, half, blur)
+        samples = window.coarser(coarser)
+        places, template = located(fit, boxes, picture, samples, half, blur)
         if number and len(more):
-            extra = undetected(fit, more, places, template, picture, view, half)
+            extra = undetected(fit, more, places, template, picture, samples, half)
             more, places = extra.node, joined(places, extra)
         if number == len(stages) - 1:
-            places = centred(places, boxes, template, picture, view, half)
-        result = fitted(fit, places, scatter, half, config, steps)
+            places = centred(places, boxes, template, picture, samples, half)
+        result = fitted(fit, places, scatter, View(picture, template, samples, half), config, steps)
         fit, scatter = result.fit, result.scatter
     found = replace(given, pose=fit.pose, layout=fit.layout)
-    finer = halved(found, places, template, picture, view, half) if halve else None
+    finer = halved(found, places, template, picture, samples, half) if halve else None
     if finer is None:
         return result
     return measure(finer, rays, sizes_px, sigma, image, camera, config, stages[1:], halve=False)
@@ -100,7 +117,7 @@ def _half_size(fit: LayoutFit, sizes_px: Array, camera: Camera) -> Array:
     return half_size_pitch(sizes_px[on], d_px, usual)
 
 
-def fitted(fit: LayoutFit, places: Places, scatter: float, half: Array, config: Config, steps: int) -> MeasuredFit:
+def fitted(fit: LayoutFit, places: Places, scatter: float, view: View, config: Config, steps: int) -> MeasuredFit:
     """Fit pose and gaps to the places, each with the weight that its covariance and the panel's own scatter give it."""
     nodes = fit.layout.nodes.reshape(-1, 2)[places.node]
     rays = projected(fit.pose, (nodes + places.offset)[None])[0][0]
@@ -120,7 +137,7 @@ def fitted(fit: LayoutFit, places: Places, scatter: float, half: Array, config: 
     per_ray = np.linalg.inv(d_uv)
     information = np.swapaxes(per_ray, 1, 2) @ (_huber(off, weight)[:, None, None] * weight) @ per_ray
     own, residual = _scatter(off * metric, places, J.shape[-1], config.measurement.scatter_pitch)
-    return MeasuredFit(fit, places, rays, information, own, residual, half)
+    return MeasuredFit(fit, places, rays, information, own, residual, view)
 
 
 def _in_lattice(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:

@@ -20,6 +20,7 @@ from elevator_rectify.core.result import judged, layout_result
 from elevator_rectify.core.straight_edges import segments_of, sharpened
 from elevator_rectify.core.track import posed
 from elevator_rectify.core.types import Array, GridFit, Image, Measurement
+from elevator_rectify.core.widening import widened
 
 # Written by `python3 -m elevator_rectify calibrate --pictures`.
 COEFFICIENTS = Path(__file__).with_name("picture_confidence.json")
@@ -103,7 +104,7 @@ def picture_fit(
     measured = sorted((m for m in found if m is not None and _shown(m, config)), key=_misfit)
     if not measured:
         return None
-    results = [_result(m, boxes, usable, camera, sigma, config) for m in measured]
+    results = [_result(m if tracked else widened(m, config), boxes, usable, camera, sigma, config) for m in measured]
     if config.measurement.edges:
         results = [_with_edges(r, image, camera) for r in results]
     margin = _misfit(measured[1]) - _misfit(measured[0]) if len(measured) > 1 else np.inf

@@ -14,8 +14,9 @@ from elevator_rectify.core.types import Array, BoolArray, GridFit
 
 # To the floors' order, a cell without a detection is as likely empty as not; `filled` knows panels better.
 _EVEN = 0.5
-# An empty cell where the picture was searched and showed nothing holds a button with the odds over this.
-_NOT_SHOWN = 30.0
+# An empty cell where the picture was searched and showed nothing holds a button with the odds over this, however sure
+# the floors' order is: panels have blind cells too.
+_NOT_SHOWN, _MOST_SURE = 30.0, 0.97
 # A button shown by the picture alone is one with this probability, and so is a detection beside the grid.
 _SHOWN, _BESIDE = 0.99, 0.99
 # Where a detection lies across it, or beyond the end of a staggered line, there is no cell.
@@ -50,7 +51,7 @@ def _prior(fit: GridFit, places: Places) -> Array:
     """Return (K,) the probability of a button before the panel's layout and its floors are looked at."""
     prior = np.where(places.taken | places.beyond, _NO_CELL, _EVEN)
     if fit.measurement is not None:
-        prior = _with_odds(prior, 1.0 / _NOT_SHOWN)
+        prior = _not_shown(prior)
     return np.where(places.filled, 1.0, prior)
 
 
@@ -59,7 +60,7 @@ def _present(fit: GridFit, places: Places, nats: Array) -> Array:
     present = np.full(len(nats), _BESIDE)
     found = missed(fit, places, nats[: places.cells])
     if fit.measurement is not None:
-        found = np.where(found < 1.0, _with_odds(found, 1.0 / _NOT_SHOWN), 1.0)
+        found = np.where(places.filled[: places.cells], 1.0, _not_shown(found))
     present[: places.cells] = found
     barred = (places.taken | places.beyond) & ~places.filled
     present[barred] = np.minimum(present[barred], _NO_CELL)
@@ -75,8 +76,10 @@ def _scaled(floors: Floors, present: Array, filled: BoolArray) -> Floors:
     return Floors(floors.numbers, floor, 1.0 - floor.sum(axis=1))
 
 
-def _with_odds(probability: Array, factor: float) -> Array:
-    odds = probability / np.maximum(1.0 - probability, 1e-9) * factor
+def _not_shown(probability: Array) -> Array:
+    """Return the probability of a button where the picture does not show it."""
+    p = np.minimum(probability, _MOST_SURE)
+    odds = p / (1.0 - p) / _NOT_SHOWN
     return np.asarray(odds / (1.0 + odds))
 
 

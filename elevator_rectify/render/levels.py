@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,12 +70,19 @@ def random_panel(level: Level, rng: np.random.Generator) -> Panel:
             x = c + (0.5 if last else 0.0) + (aside if c >= gap_column else 0.0)
             y = r + (gap if r >= gap_row else 0.0)
             block = int(last) + 2 * int(r >= gap_row) + 4 * int(c >= gap_column)
-            buttons.append(Button(x * PITCH_M, y * row_pitch, r, c, block, str(len(buttons) + 1)))
+            buttons.append(Button(x * PITCH_M, y * row_pitch, r, c, block))
     if absent:
         most = max(1, int(len(buttons) * level.absent_share))
         gone = rng.choice(len(buttons), int(rng.integers(0, most + 1)), replace=False)
         buttons = [b for k, b in enumerate(buttons) if k not in gone]
-    return framed(tuple(buttons), (PITCH_M, row_pitch), Look())
+    return framed(_numbered(buttons), (PITCH_M, row_pitch), Look())
+
+
+def _numbered(buttons: list[Button]) -> tuple[Button, ...]:
+    """Return the buttons with floors row by row from below, as most panels have them; absent ones leave no gap."""
+    upwards = sorted(range(len(buttons)), key=lambda k: (-buttons[k].row, buttons[k].column))
+    floor = {k: n + 1 for n, k in enumerate(upwards)}
+    return tuple(replace(button, label=str(floor[k])) for k, button in enumerate(buttons))
 
 
 def random_view(level: Level, rng: np.random.Generator) -> Viewpoint:
