@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elevator_rectify.core import Config, fit_panel
+from elevator_rectify.core import Config, fit_panel, rectify_image
+from elevator_rectify.core.draw import draw_rectified
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.config import NodeConfig
 from elevator_rectify.ros.messages import make_ros
@@ -94,3 +95,22 @@ def test_a_compressed_image_is_decoded_only_for_a_picture() -> None:
     assert answer_frame(frame(1, image=message), Config(), ("rectified",))[0].fit.status == "bad_input"
     empty = replace(frame(1), image=make_ros("sensor_msgs/msg/CompressedImage", header=header(1)))
     assert answer_frame(empty, Config(), ())[0].fit.status == "bad_input"
+
+
+def test_the_rectified_overlay_has_the_labels_at_the_buttons() -> None:
+    labelled = replace(VIEW, detections=tuple(replace(d, label="7") for d in VIEW.detections))
+    fit = fit_panel(list(labelled.detections), VIEW.camera)
+    picture = np.zeros((VIEW.camera.height, VIEW.camera.width, 3), np.uint8)
+    view = rectify_image(picture, VIEW.camera, fit)
+    drawn = draw_rectified(view, fit.buttons, fit.buttons[4])
+    for button in fit.buttons:
+        x, y = view.camera.project((view.R_rectified_camera @ button.point)[None])[0].round().astype(int)
+        assert drawn[max(0, y - 25) : y + 5, x : x + 25].any()
+    assert not view.image.any(), "the view itself stays as it is"
+
+
+def test_drawings_are_made_only_where_they_are_wanted() -> None:
+    for wanted in ((), ("overlay",), ("rectified_overlay",), ("rectified",)):
+        answer, _ = answer_frame(frame(1), Config(), wanted)
+        assert (answer.overlay is not None) == ("overlay" in wanted)
+        assert (answer.rectified_overlay is not None) == ("rectified_overlay" in wanted)

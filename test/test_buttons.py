@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from elevator_rectify.core import Config, Detection, GridFit, find_button, fit_panel
+from elevator_rectify.core import Config, Detection, GridFit, find_button, fit_panel, fit_panels
 from elevator_rectify.core.config import ScaleConfig, TargetConfig
 from elevator_rectify.core.labels import aliases, canonical
 from elevator_rectify.core.target import lateral_std
+from elevator_rectify.core.types import Array
 from elevator_rectify.render.panel import PITCH_M
 from test.scenes import scene
 
@@ -140,3 +141,55 @@ def test_any_labels_and_targets_give_a_choice(texts: list[str], target: str) -> 
 
 
 FITTED = fitted({})
+
+
+def at_pitches(x_pitch: float, y_pitch: float) -> Array:
+    """Return the point (3,) in the camera frame at a place in pitches from the view's first button."""
+    place = VIEW.panel.points_m[0] + np.array([x_pitch, y_pitch, 0.0]) * np.append(VIEW.panel.pitch_m, 0.0)
+    return np.asarray(VIEW.R_camera_panel @ place + VIEW.t_camera_panel)
+
+
+def beside(x_pitch: float, y_pitch: float, label: str, size: float = 1.0) -> Detection:
+    """Return a detection on the view's panel at a place in pitches from its first button, of a size over the usual."""
+    x, y = VIEW.camera.project(at_pitches(x_pitch, y_pitch)[None])[0]
+    width, height = np.median([[d.width_px, d.height_px] for d in VIEW.detections], axis=0)
+    return Detection(float(x), float(y), size * float(width), size * float(height), label, 0.95)
+
+
+def test_a_button_beside_the_grid_has_its_place_and_can_be_pressed() -> None:
+    fit = fit_panel([*labelled({}), beside(0.55, -1.3, "open")], VIEW.camera, METRIC)
+    button = fit.buttons[-1]
+    assert (button.row, button.column, button.state, button.detection) == (-1, -1, "observed", 18)
+    truth = at_pitches(0.55, -1.3)
+    assert np.linalg.norm(button.point - truth) < 0.03 * np.linalg.norm(truth)
+    # Its detection's own error counts, which the grid averages.
+    other = fit.buttons[-2]
+    assert np.trace(button.covariance) > np.trace(other.covariance)
+    choice = find_button(fit, "door open")
+    assert choice.status == "found" and choice.button is not None and choice.button.detection == 18
+
+
+@pytest.mark.parametrize(("place", "size"), [((5.6, 2.0), 1.0), ((0.55, -1.3), 4.0)])
+def test_what_is_far_off_or_of_another_size_is_no_button_of_the_panel(place: tuple[float, float], size: float) -> None:
+    fit = fit_panel([*labelled({}), beside(*place, "open", size)], VIEW.camera, METRIC)
+    assert fit.ok and all(button.row >= 0 for button in fit.buttons)
+    assert find_button(fit, "open").status == "unknown_label"
+
+
+def test_no_button_is_inferred_across_a_detection() -> None:
+    """The cell of 8 is empty, but a detection lies between it and its neighbour's."""
+    eight = next(k for k in range(18) if VIEW.panel.buttons[k].label == "8")
+    row, column = VIEW.panel.cells[eight]
+    left = [d for d, b in zip(labelled({}), VIEW.button, strict=True) if b != eight]
+    plain = fit_panel(left, VIEW.camera, METRIC)
+    assert next(b for b in plain.buttons if (b.row, b.column) == (row, column)).state == "inferred"
+    fit = fit_panel([*left, beside(column + 0.3, row - 0.35, "")], VIEW.camera, METRIC)
+    assert next(b for b in fit.buttons if (b.row, b.column) == (row, column)).state == "empty"
+
+
+def test_buttons_of_two_panels_are_each_panels_own() -> None:
+    fit = fitted({})
+    far = [replace(d, x_px=d.x_px + 2000.0) for d in fit.detections]
+    camera = type(VIEW.camera).from_matrix(VIEW.camera.matrix, 4000, VIEW.camera.height)
+    for one in fit_panels([*fit.detections, *far], camera, METRIC):
+        assert all(b.row >= 0 for b in one.buttons)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from elevator_rectify.benchmark.pictures import few_pictured
 from elevator_rectify.core import Config, Detection, GridFit, fit_panel, rectify_image
 from elevator_rectify.core.config import with_values
+from elevator_rectify.core.few_result import turn_of
 from elevator_rectify.core.motion import rotation, rotation_angle_rad
 from elevator_rectify.core.outlines import shape_points
 from elevator_rectify.core.straight_edges import segments_of, sharpened, support
@@ -66,6 +67,42 @@ def test_outlines_give_the_normal_of_few_buttons(shape: str, buttons: int) -> No
             assert np.linalg.eigvalsh(fit.covariance)[0] > 0
             rectify_image(image, scene.camera, fit)
     assert len(errors) >= 3 and np.median(errors) < 1.5 and max(errors) < 5.0
+
+
+@pytest.mark.parametrize(("shape", "buttons"), [("round", 4), ("round", 5), ("square", 4)])
+def test_few_buttons_in_two_columns_have_their_rows_and_columns(shape: str, buttons: int) -> None:
+    """The longest direction of so few is no row: the lines that several share are."""
+    accepted = 0
+    for number in range(5):
+        scene, image = few_pictured(shape, buttons, 607, number)
+        fit = fit_panel(scene.detections, scene.camera, image=image)
+        if fit.ok:
+            accepted += 1
+            # Tilt and turn together; the confidence leaves some beyond it, none of these.
+            assert np.rad2deg(rotation_angle_rad(fit.R_camera_panel.T @ scene.R_camera_panel)) < 4.0
+            true = scene.panel.cells[scene.button]
+            assert (fit.cells == true).all() and (fit.rows, fit.columns) == tuple(true.max(axis=0) + 1)
+            places = fit.reading.places
+            assert (places.shown == (places.detection >= 0)).all()
+    assert accepted >= 3
+
+
+def test_rows_run_along_the_lines_that_buttons_share() -> None:
+    corner = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 3.0]])
+    for degrees in (-6.0, 0.0, 4.0):
+        turn = turn_of(corner @ plane_turn(degrees).T, 1.0, 0.1, 0.002)
+        assert turn.angle_rad == pytest.approx(np.deg2rad(degrees), abs=1e-9) and turn.margin > 6.0
+
+
+def test_rows_that_may_run_two_ways_are_ambiguous() -> None:
+    """A triangle of equal sides: any of its sides may be a row or a column."""
+    corners = 3.0 * np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    turned = turn_of(corners @ plane_turn(15.0).T, 1.0, 0.1, 0.002)
+    assert turned.margin < 1e-9
+
+
+def plane_turn(degrees: float) -> Array:
+    return rotation(np.array([0.0, 0.0, np.deg2rad(degrees)]))[:2, :2]
 
 
 def test_one_circle_alone_is_ambiguous_and_both_poses_are_there() -> None:

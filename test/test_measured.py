@@ -128,3 +128,34 @@ def test_a_black_picture_leaves_the_fit_to_the_boxes() -> None:
 def test_an_image_of_another_kind_is_refused(image: Array) -> None:
     with pytest.raises(ValueError, match="image must be uint8"):
         fit_panel(np.zeros((8, 2)), paper_camera(), Config(), image=image)
+
+
+def test_a_row_without_any_detection_is_seen_in_the_picture() -> None:
+    """All of the lowest row missed: the picture shows it, as one more line of the grid."""
+    found = 0
+    for number in range(3, 9):
+        given = pictured("easy", 611, number)
+        scene = given.scene
+        last = scene.panel.cells[:, 0].max()
+        kept = [d for d, b in zip(scene.detections, scene.button, strict=True) if scene.panel.cells[b, 0] != last]
+        if len(kept) < 8 or last < 3:
+            continue
+        plain, shown = (fit_panel(kept, scene.camera, image=image) for image in (None, given.image))
+        assert shown.ok and shown.rows == last + 1 == plain.rows + 1
+        row = [b for b in shown.buttons if b.row == last]
+        truth = scene.pixels[scene.panel.cells[:, 0] == last]
+        inside = ((truth > 15) & (truth < [scene.camera.width - 15, scene.camera.height - 15])).all(axis=1)
+        states = [b.state for b in row]
+        assert states.count("inferred") >= inside.sum()
+        for button in row:
+            # Half a pixel in the picture, at twice that for the lattice beyond what was detected.
+            assert button.state == "empty" or np.linalg.norm(truth - button.image_px, axis=1).min() < 2.0
+        found += 1
+    assert found >= 2
+
+
+def test_plates_beside_the_buttons_are_no_buttons_between() -> None:
+    """A panel of two columns with a plate left of each button, in which every third column would be of plates."""
+    given = pictured("easy", 5001, 95, held_out=True)
+    fit = fit_panel(given.scene.detections, given.scene.camera, image=given.image)
+    assert fit.ok and fit.columns == 2 and all(b.state == "observed" for b in fit.buttons)

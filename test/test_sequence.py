@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import product
 
@@ -11,8 +12,10 @@ import pytest
 from elevator_rectify.core import Button, Detection, GridFit, find_button, fit_panel
 from elevator_rectify.core.chain import OTHER, OTHER_BEFORE, Emissions, forward_backward, step_table
 from elevator_rectify.core.config import TargetConfig
+from elevator_rectify.core.filled import COEFFICIENTS, FEATURES, features, missed
 from elevator_rectify.core.misread import confusion, looks_like
-from elevator_rectify.core.orders import Order
+from elevator_rectify.core.orders import Order, likely_orders
+from elevator_rectify.core.places import Places
 from elevator_rectify.core.text_grid import text_grid
 from elevator_rectify.core.types import Array
 from test.test_buttons import METRIC, VIEW, labelled
@@ -210,3 +213,39 @@ def test_the_text_grid_shows_the_wall() -> None:
 def test_detections_without_labels_have_no_order() -> None:
     fit = fit_panel([replace(d, label="") for d in VIEW.detections if isinstance(d, Detection)], VIEW.camera, METRIC)
     assert {b.label for b in fit.buttons} == {""}
+
+
+def test_the_model_of_missed_buttons_has_a_coefficient_for_every_feature() -> None:
+    assert list(json.loads(COEFFICIENTS.read_text())["coefficients"]) == list(FEATURES)
+    fit = fitted({}, without=(4, 9))
+    places = fit.reading.places
+    empty = np.flatnonzero(~places.filled)
+    table = features(fit, places, fit.reading.floor_nats, empty)
+    assert table.shape == (2, len(FEATURES)) and np.isfinite(table).all()
+    # One of the kinds of neighbours, in one of the zones.
+    assert (table[:, :24].sum(axis=1) == 1.0).all()
+
+
+def test_the_floors_order_makes_a_missed_button_more_probable() -> None:
+    fit = fitted({}, without=(9,))
+    none, some = (missed(fit, fit.reading.places, np.full(18, nats)) for nats in (0.0, 3.0))
+    empty = ~fit.reading.places.filled
+    assert (some[empty] > none[empty]).all() and (none[~empty] == 1.0).all()
+
+
+def test_floors_along_the_diagonals_of_a_brick_layout_are_read() -> None:
+    """1 to 4 run down to the right, 5 to 8 beside them."""
+    row, column = (i.ravel() for i in np.indices((4, 4)))
+    along = column + 0.5 * (row % 2)
+    line = np.round(along - 0.5 * row - (along - 0.5 * row).min()).astype(int)
+    number = 1.0 + 4 * line + row
+    places = bare_places(np.column_stack([row, column]).astype(float), np.column_stack([row, along]))
+    best = likely_orders(places, number)[0]
+    assert (np.diff(number[best.index]) > 0).all()
+
+
+def bare_places(line: Array, at: Array) -> Places:
+    """Return places with a button at each and no more."""
+    count, no = len(line), np.zeros(len(line), dtype=bool)
+    texts = ("",) * count
+    return Places(count, line, at, at, np.arange(count), texts, texts, np.ones(count), no, no, no)

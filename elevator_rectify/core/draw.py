@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from elevator_rectify.core.types import Array, Button, GridFit, Image
+from elevator_rectify.core.types import Array, Button, GridFit, Image, Rectification
 
 GREEN, RED, AMBER, BLACK, WHITE = (60, 220, 60), (50, 50, 235), (40, 170, 250), (0, 0, 0), (255, 255, 255)
 
@@ -32,16 +33,35 @@ def draw_overlay(
         cv2.drawMarker(canvas, (x, y), RED, cv2.MARKER_CROSS, size, thickness)
     for x, y in _drawable(centres_px):
         cv2.drawMarker(canvas, (x, y), GREEN, cv2.MARKER_DIAMOND, size, thickness)
-    for button in buttons:
-        _draw_button(canvas, button, size, thickness)
-    for x, y in _drawable(target.image_px[None]) if target is not None else ():
-        cv2.circle(canvas, (x, y), 2 * size, AMBER, 2 * thickness, cv2.LINE_AA)
-        cv2.putText(canvas, _ascii(target), (x + 2 * size, y), cv2.FONT_HERSHEY_SIMPLEX, size / 16.0, AMBER, thickness)
+    _draw_buttons(canvas, buttons, target, size, thickness)
     if fit.ok:
         text = f"ok  {fit.rows} x {fit.columns}  confidence {fit.confidence:.2f}  rms {fit.rms_px:.1f} px"
     else:
         text = f"{fit.status}: {fit.reason}"
     return caption(canvas, [text], GREEN if fit.ok else AMBER)
+
+
+def draw_rectified(view: Rectification, buttons: Sequence[Button], target: Button | None = None) -> Image:
+    """Return the rectified view with the buttons' labels, inferred buttons and the target as in `draw_overlay`."""
+    canvas = as_colour(view.image)
+    size = max(8, round(0.018 * max(canvas.shape[:2])))
+    at = [_in_view(button, view) for button in buttons]
+    _draw_buttons(canvas, at, None if target is None else _in_view(target, view), size, max(1, size // 8))
+    return canvas
+
+
+def _in_view(button: Button, view: Rectification) -> Button:
+    """Return the button with its place in the rectified view instead of the input."""
+    return replace(button, image_px=view.camera.project((view.R_rectified_camera @ button.point)[None])[0])
+
+
+def _draw_buttons(canvas: Image, buttons: Sequence[Button], target: Button | None, size: int, thickness: int) -> None:
+    """Draw all buttons, and a circle around the target with its label."""
+    for button in buttons:
+        _draw_button(canvas, button, size, thickness)
+    for x, y in _drawable(target.image_px[None]) if target is not None else ():
+        cv2.circle(canvas, (x, y), 2 * size, AMBER, 2 * thickness, cv2.LINE_AA)
+        cv2.putText(canvas, _ascii(target), (x + 2 * size, y), cv2.FONT_HERSHEY_SIMPLEX, size / 16.0, AMBER, thickness)
 
 
 def _draw_button(canvas: Image, button: Button, size: int, thickness: int) -> None:

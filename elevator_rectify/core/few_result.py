@@ -166,34 +166,39 @@ def _size_std(fit: OutlineFit) -> float:
     return float(np.sqrt(max(0.0, np.linalg.inv(regular)[index, index])))
 
 
-def _turned(model: OutlineModel, usable: Usable, camera: Camera) -> Turn:
-    """Return how rows and columns run in the outlines' plane: along the lines that the buttons share, near upright.
+def turn_of(plane: Array, height: float, upright_std_rad: float, centre_std: float) -> Turn:
+    """Return how rows and columns run: along the lines that buttons at (N, 2) share, near upright.
 
-    Every pair of buttons may be of one row, of one column, or of neither.
+    Every pair of buttons may be of one row, of one column, or of neither. height: of a button, centre_std: of the
+    places, both in the unit of the places.
     """
-    height = 2.0 * float(model.half[-1])
-    plane = _on_plane(model.R, model.origin, usable.rays)
     one, other = np.triu_indices(len(plane), 1)
     apart = plane[other] - plane[one]
-    length = np.linalg.norm(apart, axis=1)
-    angle = np.arctan2(apart[:, 1], apart[:, 0])
-    angle -= np.pi / 2 * np.round(angle / (np.pi / 2))
-    upright = _UPRIGHT_STD_RAD if model.round else _OUTLINE_STD_RAD
+    length, angle = np.linalg.norm(apart, axis=1), _quarter(np.arctan2(apart[:, 1], apart[:, 0]))
     tried = np.append(angle, 0.0)
-    off = angle - tried[:, None]
-    off -= np.pi / 2 * np.round(off / (np.pi / 2))
+    off = _quarter(angle - tried[:, None])
     aligned = np.exp(-0.5 * (np.sin(off) * length / (_OFF_LINE * height)) ** 2)
-    nats = np.log(_ANY_PLACE + aligned).sum(axis=1) - 0.5 * (tried / upright) ** 2
+    nats = np.log(_ANY_PLACE + aligned).sum(axis=1) - 0.5 * (tried / upright_std_rad) ** 2
     best = int(nats.argmax())
-    different = np.abs(np.sin(2.0 * (tried - tried[best]))) > np.sin(2.0 * _SAME_TURN_RAD)
+    different = np.abs(_quarter(tried - tried[best])) > _SAME_TURN_RAD
     margin = float(nats[best] - nats[different].max()) if different.any() else np.inf
-    on = aligned[best] > 0.5
-    if not on.any():
-        return Turn(0.0, upright, margin)
-    # The line that the pairs on it share.
-    weight = on * length**2
+    weight = (aligned[best] > 0.5) * length**2
+    if not weight.any():
+        return Turn(0.0, upright_std_rad, margin)
     turn = float(tried[best] + (weight * off[best]).sum() / weight.sum())
-    return Turn(turn, float(1.5 * _CENTRE_STD_PX / camera.focal_px / length[on].max()), margin)
+    return Turn(turn, 1.5 * centre_std / float(np.sqrt(weight.max())), margin)
+
+
+def _quarter(angle: Array) -> Array:
+    """Return angles of lines, of rows or columns alike: within an eighth of a turn."""
+    return np.asarray(angle - np.pi / 2 * np.round(angle / (np.pi / 2)))
+
+
+def _turned(model: OutlineModel, usable: Usable, camera: Camera) -> Turn:
+    """Return how rows run in the outlines' plane; edges of squares say it too, circles are upright as the camera is."""
+    plane = _on_plane(model.R, model.origin, usable.rays)
+    upright = _UPRIGHT_STD_RAD if model.round else _OUTLINE_STD_RAD
+    return turn_of(plane, 2.0 * float(model.half[-1]), upright, _CENTRE_STD_PX / camera.focal_px)
 
 
 def _on_plane(R: Array, origin: Array, rays: Array) -> Array:

@@ -1,4 +1,4 @@
-"""External call panels: one to three buttons, near enough to see their outlines."""
+"""External call panels and small ones: one to five buttons, near enough to see their outlines."""
 
 from __future__ import annotations
 
@@ -14,16 +14,21 @@ from elevator_rectify.render.outline import half_size_m
 from elevator_rectify.render.panel import PITCH_M, Button, Look, Panel, framed
 from elevator_rectify.render.scene import DetectorModel, Scene, detected, paper_camera
 
-_LABELS = ("up", "down", "call")
+_LABELS = ("up", "down", "call", "open", "close")
 _MOST_TILT_DEG, _MOST_ROLL_DEG = 45.0, 5.0
 _SMALLEST_PX, _LARGEST_PX = 40.0, 120.0
 
 
 def few_panel(number: int, shape: str, rng: np.random.Generator, held_out: bool = False) -> Panel:
-    """Return a panel of one to three buttons of a shape ('round', 'square'), in a column or a row, in a random look."""
+    """Return a panel of one to five buttons of a shape ('round', 'square') in a random look.
+
+    Up to three are in a column or a row, more in two columns.
+    """
     across = rng.random() < 0.3
     step = PITCH_M * float(rng.uniform(1.0, 1.5))
     places = [(k * step, 0.0, 0, k) if across else (0.0, k * step, k, 0) for k in range(number)]
+    if number > 3:
+        places = [(k % 2 * step, k // 2 * step, k // 2, k % 2) for k in range(number)]
     buttons = tuple(Button(x, y, r, c, 0, _LABELS[k]) for k, (x, y, r, c) in enumerate(places))
     panel = dressed(framed(buttons, (PITCH_M, PITCH_M), Look(), display=bool(rng.random() < 0.4)), rng, held_out)
     corner = 1.0 if shape == "round" else float(rng.uniform(0.05, 0.5))

@@ -13,7 +13,7 @@ import numpy as np
 from elevator_rectify.core.buttons import buttons_of
 from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config, LabelsConfig
-from elevator_rectify.core.draw import draw_overlay
+from elevator_rectify.core.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.scale import with_scale
 from elevator_rectify.core.target import Choice, find_button
@@ -49,6 +49,7 @@ class Answer:
     detections: tuple[Detection, ...] = ()
     view: Rectification | None = None
     overlay: Image | None = None
+    rectified_overlay: Image | None = None
     scale: str = "unknown"
     target: str = ""
     choice: Choice | None = None
@@ -75,15 +76,15 @@ class Inputs:
 def answer_frame(
     frame: Frame,
     config: Config,
-    wanted: Collection[str] = ("rectified", "overlay"),
+    wanted: Collection[str] = ("rectified", "overlay", "rectified_overlay"),
     node: NodeConfig = DEFAULT_NODE,
     track: Track | None = None,
     target: str = "",
 ) -> tuple[Answer, Track | None]:
     """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
 
-    wanted: which pictures to make, of 'rectified' and 'overlay'; without any, and with nothing to measure in it, the
-    image is checked but not converted.
+    wanted: which pictures to make, of 'rectified', 'overlay' and 'rectified_overlay'; without any, and with nothing to
+    measure in it, the image is checked but not converted.
     track: of the frames before, where `node.track` is on; the new one is returned. target: label of the button that is
     to be pressed, '' for none.
     """
@@ -99,9 +100,8 @@ def answer_frame(
         track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
     watch.lap("fit")
     choice = find_button(fit, target, config.target) if target else None
-    button = choice.button if choice is not None else None
     view = None
-    if given.image is not None and fit.ok and "rectified" in wanted:
+    if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
         view = rectify_image(given.image, given.camera, fit, config.view)
     watch.lap("warp")
     answer = Answer(
@@ -116,11 +116,22 @@ def answer_frame(
         stopwatch=watch,
         labels=config.labels,
     )
-    if given.image is not None and "overlay" in wanted:
-        overlay = draw_overlay(given.image, _finite_centres(given.detections), fit, button, answer.buttons)
-        answer = replace(answer, overlay=overlay)
+    answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track
+
+
+def _with_drawings(answer: Answer, given: Inputs, wanted: Collection[str]) -> Answer:
+    """Return the answer with the pictures for people that are wanted."""
+    if given.image is None or not {"overlay", "rectified_overlay"} & set(wanted):
+        return answer
+    buttons, drawings = answer.buttons, dict[str, Any]()
+    target = answer.choice.button if answer.choice is not None else None
+    if "overlay" in wanted:
+        drawings["overlay"] = draw_overlay(given.image, _finite_centres(given.detections), answer.fit, target, buttons)
+    if answer.view is not None and "rectified_overlay" in wanted:
+        drawings["rectified_overlay"] = draw_rectified(answer.view, buttons, target)
+    return replace(answer, **drawings)
 
 
 def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import cv2
@@ -22,6 +23,7 @@ TOPICS = {
     "rectified/image": "sensor_msgs/msg/Image",
     "rectified/image/compressed": "sensor_msgs/msg/CompressedImage",
     "rectified/camera_info": "sensor_msgs/msg/CameraInfo",
+    "rectified/overlay": "sensor_msgs/msg/Image",
     "grid_centers": "geometry_msgs/msg/PoseArray",
     "panel_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "markers": "visualization_msgs/msg/MarkerArray",
@@ -36,6 +38,7 @@ BUTTONS = ("buttons", "vision_msgs/msg/Detection3DArray")
 PICTURES = {
     "rectified": ("rectified/image", "rectified/image/compressed", "rectified/camera_info"),
     "overlay": ("overlay",),
+    "rectified_overlay": ("rectified/overlay",),
 }
 _JPEG_QUALITY = 90
 
@@ -59,9 +62,9 @@ def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] 
         makers["panel_pose"] = lambda: pose_message(fit, header, make)
         makers |= _target_makers(answer, header, make)
         makers["buttons"] = lambda: buttons_message(fit, answer.buttons, header, make)
-    overlay = answer.overlay
-    if overlay is not None:
-        makers["overlay"] = lambda: image_message(overlay, header, make)
+    for topic, picture in (("overlay", answer.overlay), ("rectified/overlay", answer.rectified_overlay)):
+        if picture is not None:
+            makers[topic] = partial(image_message, picture, header, make)
     makers["markers"] = lambda: marker_message(answer, header, make)
     makers["status"] = lambda: status_message(answer, make)
     for topic, maker in makers.items():
