@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from elevator_rectify import calibrate_filled
 from elevator_rectify.benchmark.negatives import KINDS
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
@@ -23,11 +24,12 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.pipeline import sigma_px
 from elevator_rectify.core.types import Array, Detection
+from elevator_rectify.logistic import logistic_regression
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene, paper_camera
 
-# Of standardised features, per hundred examples.
-_RIDGE = 0.06
+# Of standardised features, an example.
+_RIDGE = 0.0006
 # Few pictures in a robot's life are as bad as the worst level.
 _WEIGHTS = {"extreme": 0.5}
 _LEVELS = ("easy", "medium", "hard", "extreme", "gaps", *4 * ["wild"])
@@ -37,7 +39,7 @@ _SPOILT = ("blurred", "noisy", "hand", "overexposed", "shifted")
 # With pictures, a rotation further off than this is wrong.
 _RIGHT_DEG = 2.0
 _RIGHT_OUTLINE_DEG = 4.0
-_FEW = tuple(f"{shape} {number}" for shape in ("round", "square") for number in (1, 2, 3))
+_FEW = tuple(f"{shape} {number}" for shape in ("round", "square") for number in range(1, 6))
 _CONFIG = Config()
 
 
@@ -133,23 +135,12 @@ def outline_examples(task: tuple[str, int, int]) -> list[Example]:
     return [Example(few_result.few_features(found), bool(np.rad2deg(error) <= _RIGHT_OUTLINE_DEG), float("nan"), 1.0)]
 
 
-def logistic_regression(X: Array, y: Array, weights: Array, steps: int = 60, ridge: float | None = None) -> Array:
-    """Return the ridge-regularised coefficients by Newton's method (iteratively reweighted least squares)."""
-    beta = np.zeros(X.shape[1])
-    ridge = _RIDGE * len(y) / 100.0 if ridge is None else ridge
-    for _ in range(steps):
-        p = 1.0 / (1.0 + np.exp(-np.clip(X @ beta, -30, 30)))
-        hessian = (X * (weights * p * (1 - p))[:, None]).T @ X + ridge * np.eye(X.shape[1])
-        beta = beta + np.linalg.solve(hessian, X.T @ (weights * (y - p)) - ridge * beta)
-    return beta
-
-
 def write_model(found: list[Example], names: tuple[str, ...], path: Path) -> None:
     """Fit the model, write it, print how well it tells right from wrong."""
     X, y = np.array([e.x for e in found]), np.array([float(e.right) for e in found])
     mean, std = X.mean(axis=0), np.maximum(X.std(axis=0), 1e-6)
     Z = expanded(X, mean, std)
-    beta = logistic_regression(Z, y, np.array([e.weight for e in found]))
+    beta = logistic_regression(Z, y, np.array([e.weight for e in found]), _RIDGE * len(y))
     table = {
         "features": {n: [round(float(m), 5), round(float(d), 6)] for n, m, d in zip(names, mean, std, strict=True)},
         "coefficients": [round(float(b), 5) for b in beta],
@@ -178,8 +169,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
     options = parser.parse_args(arguments)
     if options.buttons:
-        from elevator_rectify import calibrate_filled
-
         return calibrate_filled.main(options.data, options.seed)
     function, kinds, usual = examples, (*_LEVELS, *KINDS), 700
     names: tuple[str, ...] = confidence.FEATURES

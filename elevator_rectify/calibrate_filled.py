@@ -11,10 +11,10 @@ import numpy as np
 from elevator_rectify.benchmark.buttons import spoilt_labels
 from elevator_rectify.benchmark.missing import CONFIG, Entry, empty_cells, entries, without_some
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.calibrate import logistic_regression
 from elevator_rectify.core.filled import COEFFICIENTS, FEATURES, features
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, Detection
+from elevator_rectify.logistic import logistic_regression
 
 # Shares removed, and how often: a detector misses about a tenth, and often nothing.
 _DRAWS = ((0.0, 4), (0.1, 16), (0.2, 8))

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from elevator_rectify import calibrate, calibrate_filled
 from elevator_rectify.benchmark import program
 from elevator_rectify.benchmark.buttons import run_read
 from elevator_rectify.benchmark.missing import entries, run_removed
@@ -13,8 +14,8 @@ from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation, t
 from elevator_rectify.benchmark.real import photographs
 from elevator_rectify.benchmark.synthetic import calibration_error, run_trial
 from elevator_rectify.benchmark.turned import run_photograph
-from elevator_rectify.calibrate import logistic_regression
 from elevator_rectify.core import confidence, few_result, picture_fit
+from elevator_rectify.logistic import logistic_regression
 from elevator_rectify.render.levels import LEVELS, random_scene
 from test.scenes import rotation_error_deg
 
@@ -65,7 +66,7 @@ def test_logistic_regression_finds_a_known_model() -> None:
     X = np.column_stack([np.ones(20000), rng.normal(0, 1, 20000)])
     y = (rng.random(20000) < 1 / (1 + np.exp(-(0.5 - 1.5 * X[:, 1])))).astype(float)
     # 20,000 draws give a coefficient to 0.02; the ridge takes a little.
-    np.testing.assert_allclose(logistic_regression(X, y, np.ones(len(y))), [0.5, -1.5], atol=0.12)
+    np.testing.assert_allclose(logistic_regression(X, y, np.ones(len(y)), ridge=12.0), [0.5, -1.5], atol=0.12)
 
 
 def test_the_program_prints_its_tables(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -97,7 +98,9 @@ def test_the_program_prints_what_the_picture_adds(capsys: pytest.CaptureFixture[
     assert program.main(options) == 0
     said = capsys.readouterr().out
     assert all(word in said for word in ("oracle", "lateral", "yardsticks", "made wrong", "3 square", "skipped")), said
-    assert program.main(["--buttons", "--data", str(tmp_path)]) == 0 and "skipped" in capsys.readouterr().out
+    assert program.main(["--buttons", "--trials", "2", "--levels", "easy", "--data", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "skipped" in said and "with picture" in said and "easy" in said
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")
@@ -124,3 +127,24 @@ def test_photographs_come_out_straight() -> None:
     summary = table.splitlines()[-1]
     accepted, after = int(summary.split()[1]), float(summary.split(" after ")[1].split()[0])
     assert accepted >= 10 and after < 1.0, table
+
+
+def test_the_model_of_missed_buttons_is_fitted_only_with_real_panels(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert calibrate.main(["--buttons", "--data", str(tmp_path)]) == 1
+    assert "only with" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")
+def test_cells_of_removed_buttons_are_the_examples_of_the_model() -> None:
+    panels = [e for e in entries(DATA) if len(e.detections) > 25][:4]
+    tasks = [(e, share, 7, labels) for e in panels for share in (0.0, 0.1) for labels in ("printed", "none", "spoilt")]
+    cells = [c for c in (calibrate_filled.draw(task) for task in tasks) if c is not None]
+    assert {c.labels for c in cells} == {"printed", "none", "spoilt"}
+    assert all(not c.held.any() for c in cells if c.share == 0.0)
+    assert 0 < sum(c.held.sum() for c in cells) <= sum(c.removed for c in cells)
+    constant, coefficients = calibrate_filled.fitted(cells)
+    assert np.isfinite(constant) and np.isfinite(coefficients).all()
+    table = calibrate_filled.cross_validated([e.name for e in panels], cells)
+    assert "printed" in table and "spoilt" in table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from elevator_rectify.benchmark.missing import (
     run_removed,
 )
 from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.core.buttons import buttons_of
 from elevator_rectify.core.misread import HIGHEST, LOWEST, confusion
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.target import find_button
@@ -95,8 +97,8 @@ def _asked(fit: GridFit, entry: Entry, rng: np.random.Generator) -> tuple[int, i
     return asked, answered, right, absent, wrong
 
 
-def buttons_table(folder: Path, seed: int, repeats: int) -> str:
-    """Return the tables of missing buttons and of labels."""
+def buttons_table(folder: Path, seed: int, repeats: int, yardstick: float) -> str:
+    """Return the tables of missing buttons and of labels; yardstick: milliseconds that times are divided by."""
     panels = entries(folder)
     lines = [f"{len(panels)} real panels, each {repeats} times", REMOVED_HEADER]
     for share in (0.0, 0.1, 0.2, 0.3):
@@ -106,7 +108,20 @@ def buttons_table(folder: Path, seed: int, repeats: int) -> str:
         tasks_read = [(p, seed + n, informative) for n in range(repeats) for p in panels]
         readings = [r for r in parallel(run_read, tasks_read, "labels") if r is not None]
         lines += _reading_lines(readings, "informative" if informative else "constant")
-    return "\n".join(lines)
+    return "\n".join([*lines, "\n" + _time_line(panels, seed, yardstick)])
+
+
+def _time_line(panels: list[Entry], seed: int, yardstick: float) -> str:
+    """Return how long labels, missing buttons and all that `fit.buttons` has take, of panels with spoilt labels."""
+    times = []
+    for number, entry in enumerate(panels):
+        fit = fit_panel(spoilt_labels(entry, np.random.default_rng([seed, number]), True), entry.camera)
+        # A fit keeps what it was asked for: every copy is asked anew.
+        for copy in [replace(fit) for _ in range(5)]:
+            start = time.perf_counter()
+            buttons_of(copy)
+            times.append(1e3 * (time.perf_counter() - start) / yardstick)
+    return f"buttons and labels of a panel take {np.median(times):.2f} yardsticks, p95 {np.percentile(times, 95):.2f}"
 
 
 def _reading_lines(readings: list[Reading], scores: str) -> list[str]:

@@ -15,6 +15,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.plot import write_curves
 from elevator_rectify.benchmark.real import mixed, photographs
+from elevator_rectify.benchmark.shown import shown_table
 from elevator_rectify.benchmark.synthetic import HEADER, Trial, oracle_row, run_trial, table_row, yardstick_ms
 from elevator_rectify.benchmark.timing import measurement_line, timing_table
 from elevator_rectify.benchmark.turned import turned_table
@@ -80,15 +81,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--plot", type=Path, help="folder for the error curves as pictures")
     parser.add_argument("--pictures", action="store_true", help="what the picture adds, on rendered and real pictures")
     parser.add_argument("--turns", type=int, default=20, help="virtual rotations of each photograph, with --pictures")
-    parser.add_argument("--buttons", action="store_true", help="missing buttons and labels of real panels")
+    parser.add_argument(
+        "--buttons", action="store_true", help="missing buttons and labels, on real panels and rendered ones"
+    )
     parser.add_argument("--repeats", type=int, default=5, help="times that each real panel is spoilt, with --buttons")
     options = parser.parse_args(arguments)
     if options.buttons:
-        if not (options.data / "panels_mixed.json").exists():
-            print(f"skipped: there is no {options.data}/panels_mixed.json")
-        else:
-            print(buttons_table(options.data, options.seed, options.repeats))
-        return 0
+        return _buttons(options)
     if options.pictures:
         return _pictures(options)
     if options.trials:
@@ -106,6 +105,18 @@ def main(arguments: list[str] | None = None) -> int:
         print("\n" + photographs(options.data) + "\n\n" + mixed(options.data))
     else:
         print(f"\nreal panels skipped: there is no {options.data}/photos")
+    return 0
+
+
+def _buttons(options: argparse.Namespace) -> int:
+    """Print the tables of missing buttons and of labels."""
+    cv2.setNumThreads(1)
+    if (options.data / "panels_mixed.json").exists():
+        print(buttons_table(options.data, options.seed, options.repeats, yardstick_ms()))
+    else:
+        print(f"real panels skipped: there is no {options.data}/panels_mixed.json")
+    if options.trials:
+        print("\n" + shown_table(options.levels.split(","), options.trials, options.seed))
     return 0
 
 

@@ -23,12 +23,17 @@ def aliases(path: Path = ALIASES) -> dict[str, str]:
     return {_plain(spelling): name for name, spellings in table.items() for spelling in (name, *spellings)}
 
 
-@lru_cache(maxsize=4096)
 def canonical(text: str) -> str:
     """Return the one spelling of a label: 'open' for '<|>', '7' for ' 07 ', 'B1' for 'b1', '1' for '*1'; '' for none.
 
     Whatever is not printable is dropped, and all but the first 32 characters.
     """
+    return _canonical(text[: 4 * _LONGEST])
+
+
+@lru_cache(maxsize=4096)
+def _canonical(text: str) -> str:
+    """Return the same of a text that is short enough to be kept."""
     plain = _plain(text)
     short = plain.strip(_STARS + " ") or plain
     for spelling in (plain, short):

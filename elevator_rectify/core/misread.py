@@ -61,7 +61,7 @@ def _likeness(one: str, other: str) -> float:
     return float(_ALIKE.get(min(one, other) + max(one, other), 1))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def is_number(label: str) -> bool:
     """Tell whether a label is the number of a floor that buildings have."""
     body = label.removeprefix("-")

@@ -52,24 +52,19 @@ class Places:
 
 def places_of(fit: GridFit) -> Places:
     """Return the places of a fit that has a grid."""
-    number = fit.rows * fit.columns
-    ranked = _ranked(fit)
-    detection = np.full(number, -1, dtype=np.int64)
-    for k in reversed(ranked):
-        if fit.cells[k, 0] >= 0:
-            detection[fit.cells[k, 0] * fit.columns + fit.cells[k, 1]] = k
+    ranked, cells = _ranked(fit), fit.grid_panel.reshape(-1, 2)
+    detection = _in_cells(fit, ranked)
     beside, panel = _beside(fit, detection >= 0, ranked)
-    cells = fit.grid_panel.reshape(-1, 2)
-    near = _distances(fit, cells, panel) < _SAME_PLACE
-    detection = np.concatenate([detection, beside])
-    line, at = _lines(fit, panel)
-    none = np.zeros(len(beside), dtype=bool)
-    shown = np.zeros(number, dtype=bool)
+    taken = (_distances(fit, cells, panel) < _SAME_PLACE).any(axis=1) & (detection < 0)
+    shown = np.zeros(len(cells), dtype=bool)
     if fit.measurement is not None:
         shown = np.isfinite(fit.measurement.correlation).ravel()
+    detection = np.concatenate([detection, beside])
     given = [fit.detections[k] if k >= 0 and fit.detections else None for k in detection.tolist()]
+    line, at = _lines(fit, panel)
+    none = np.zeros(len(beside), dtype=bool)
     return Places(
-        cells=number,
+        cells=len(cells),
         line=line,
         at=at,
         panel=np.concatenate([cells, panel]),
@@ -78,9 +73,18 @@ def places_of(fit: GridFit) -> Places:
         read=tuple(d.label if d is not None else "" for d in given),
         score=np.array([_score(d) for d in given]),
         shown=np.concatenate([shown, none]),
-        taken=np.concatenate([near.any(axis=1) & (detection[:number] < 0), none]),
+        taken=np.concatenate([taken, none]),
         beyond=np.concatenate([_beyond(fit).ravel(), none]),
     )
+
+
+def _in_cells(fit: GridFit, ranked: list[int]) -> IntArray:
+    """Return (R C,) the detection that stands for each cell, -1 for none."""
+    detection = np.full(fit.rows * fit.columns, -1, dtype=np.int64)
+    for k in reversed(ranked):
+        if fit.cells[k, 0] >= 0:
+            detection[fit.cells[k, 0] * fit.columns + fit.cells[k, 1]] = k
+    return detection
 
 
 def _ranked(fit: GridFit) -> list[int]:

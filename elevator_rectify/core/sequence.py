@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from elevator_rectify.core.chain import Emissions, forward_backward
+from elevator_rectify.core.chain import Emissions, Posterior, forward_backward
 from elevator_rectify.core.misread import HIGHEST, LOWEST, emissions_of, is_number, reader_qualities
 from elevator_rectify.core.orders import likely_orders
 from elevator_rectify.core.places import Places
@@ -35,29 +35,38 @@ def floors_of(places: Places, present: Array) -> Floors:
 
     The reader may have been better or worse, and its scores may mean something or not: hypotheses, as the orders are.
     """
-    number = np.array([float(text) if is_number(text) else np.nan for text in places.label])
-    numbers = _considered(number, sum(not t for t, f in zip(places.label, places.filled, strict=True) if f))
-    number[(number < numbers[0]) | (number > numbers[-1])] = np.nan
-    orders, filled = likely_orders(places, number), places.filled
-    floor, other = emissions_of(places, present, reader_qualities(places.score), numbers)
-    index, readers = np.array([order.index for order in orders]), len(floor)
-    shape = (readers * len(orders), len(number))
-    given = Emissions(
-        floor[:, index].reshape(*shape, len(numbers)),
-        other[:, index].reshape(shape),
-        np.broadcast_to(filled[index], (readers, *index.shape)).reshape(shape),
-    )
-    found = forward_backward(given, numbers, orders * readers)
-    alone, alone_other, evidence = _each_alone(Emissions(floor, other, filled))
-    usual = np.tile([order.prior for order in orders], readers)
-    prior = np.log(np.append(usual, np.full(readers, _NO_ORDER)) / readers)
-    weight = _normalised(prior + np.append(found.evidence, evidence))
+    number, numbers = _numbers(places)
+    orders = likely_orders(places, number)
+    read = Emissions(*emissions_of(places, present, reader_qualities(places.score), numbers), places.filled)
+    readers, index = len(read.floor), np.array([order.index for order in orders])
+    found = forward_backward(_in_order(read, index), numbers, orders * readers)
+    alone = _each_alone(read)
+    usual = [*[order.prior for order in orders] * readers, *[_NO_ORDER] * readers]
+    weight = _normalised(np.log(usual) + np.append(found.evidence, alone.evidence))
     # Back from each order's own sequence to the places.
-    back = np.tile(np.argsort(index, axis=1), (readers, 1))
-    every = np.arange(len(back))[:, None]
-    floors = np.concatenate([found.floor[every, back], alone])
-    others = np.concatenate([found.other[every, back], alone_other])
+    every, back = np.arange(len(found.floor))[:, None], np.tile(np.argsort(index, axis=1), (readers, 1))
+    floors = np.concatenate([found.floor[every, back], alone.floor])
+    others = np.concatenate([found.other[every, back], alone.other])
     return Floors(numbers, np.einsum("h,hks->ks", weight, floors), weight @ others)
+
+
+def _in_order(read: Emissions, index: IntArray) -> Emissions:
+    """Return the emissions (Q, K) of each reader in every order (H, K), as (Q H, K) hypotheses."""
+    shape = (len(read.floor) * len(index), index.shape[1])
+    return Emissions(
+        read.floor[:, index].reshape(*shape, read.floor.shape[-1]),
+        read.other[:, index].reshape(shape),
+        np.tile(read.filled[index], (len(read.floor), 1)),
+    )
+
+
+def _numbers(places: Places) -> tuple[Array, IntArray]:
+    """Return the numbers (K,) as read, NaN for none, and those (S,) that are considered, without a gap."""
+    number = np.array([float(text) if is_number(text) else np.nan for text in places.label])
+    unread = sum(not text for text, filled in zip(places.label, places.filled, strict=True) if filled)
+    considered = _considered(number, unread)
+    number[(number < considered[0]) | (number > considered[-1])] = np.nan
+    return number, considered
 
 
 def _considered(number: Array, unread: int) -> IntArray:
@@ -73,12 +82,12 @@ def _considered(number: Array, unread: int) -> IntArray:
     return np.arange(max(LOWEST, low), min(HIGHEST, high) + 1)
 
 
-def _each_alone(given: Emissions) -> tuple[Array, Array, Array]:
-    """Return floor (Q, K, S), other (Q, K) and log evidence (Q,) of places that say nothing of each other."""
+def _each_alone(given: Emissions) -> Posterior:
+    """Return the same of places that say nothing of each other, by each reader."""
     share = np.where(given.filled, _FLOOR_SHARE, 1.0) / given.floor.shape[-1]
     floor, other = share[:, None] * given.floor, np.where(given.filled, 1.0 - _FLOOR_SHARE, 1.0) * given.other
     total = floor.sum(axis=-1) + other
-    return floor / total[..., None], other / total, np.log(total).sum(axis=-1)
+    return Posterior(floor / total[..., None], other / total, np.log(total).sum(axis=-1))
 
 
 def _normalised(log_weight: Array) -> Array:
