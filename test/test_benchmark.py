@@ -98,7 +98,9 @@ def test_the_program_prints_what_the_picture_adds(capsys: pytest.CaptureFixture[
     assert program.main(options) == 0
     said = capsys.readouterr().out
     assert all(word in said for word in ("oracle", "lateral", "yardsticks", "made wrong", "3 square", "skipped")), said
-    assert program.main(["--buttons", "--trials", "2", "--levels", "easy", "--data", str(tmp_path)]) == 0
+    plot = ["--plot", str(tmp_path)]
+    assert program.main(["--buttons", "--trials", "2", "--levels", "easy", "--data", str(tmp_path), *plot]) == 0
+    assert (tmp_path / "missed_buttons.jpg").exists()
     said = capsys.readouterr().out
     assert "skipped" in said and "with picture" in said and "easy" in said
 

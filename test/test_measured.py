@@ -7,10 +7,13 @@ import pytest
 
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
 from elevator_rectify.core import Camera, Config, fit_panel
+from elevator_rectify.core.lattice_fit import Poses
+from elevator_rectify.core.layout import Layout, LayoutFit
 from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.patches import Window, picture_of, sample
 from elevator_rectify.core.template import align, make_template, symmetry_centre
 from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.widening import _wider
 from elevator_rectify.evaluate import cells_right
 from elevator_rectify.render.scene import Scene, paper_camera
 
@@ -159,3 +162,22 @@ def test_plates_beside_the_buttons_are_no_buttons_between() -> None:
     given = pictured("easy", 5001, 95, held_out=True)
     fit = fit_panel(given.scene.detections, given.scene.camera, image=given.image)
     assert fit.ok and fit.columns == 2 and all(b.state == "observed" for b in fit.buttons)
+
+
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("stagger", [0.0, 1.0])
+def test_a_wider_layout_keeps_its_nodes_where_they_are(axis: int, before: bool, stagger: float) -> None:
+    rows, columns = np.array([0.0, 1.0, 2.4]), np.array([0.0, 1.0, 2.0, 3.3])
+    layout = Layout(rows, columns, np.array([0.0, 1.0, 0.0]), np.zeros(4), (2,), (3,))
+    facing = Poses(np.eye(3)[None], np.array([[0.0, 0.0, 1.0]]), np.zeros(1), np.zeros((1, 2)), np.zeros(1))
+    fit = LayoutFit(facing, layout, np.arange(12), np.ones(12), 0.0, 0.0)
+    wider, moved, new = _wider(fit, axis, before, stagger)
+    after = wider.layout.nodes.reshape(-1, 2)
+    np.testing.assert_array_equal(after[moved], layout.nodes.reshape(-1, 2))
+    assert sorted([*moved, *new]) == list(range(len(after)))
+    # One pitch beyond the outer line; where the others are staggered against each other, half a pitch more or less.
+    beyond = (layout.rows, layout.columns)[axis][0 if before else -1] + (-1.0 if before else 1.0)
+    assert (np.abs(after[new, 1 - axis] - beyond) <= (0.5 if axis == 1 else 0.0)).all()
+    assert wider.layout.row_breaks == (2 + (axis == 0 and before),)
+    assert wider.layout.column_breaks == (3 + (axis == 1 and before),)

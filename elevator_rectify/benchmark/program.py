@@ -15,7 +15,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.plot import write_curves
 from elevator_rectify.benchmark.real import mixed, photographs
-from elevator_rectify.benchmark.shown import shown_table
+from elevator_rectify.benchmark.shown import shown_table, write_example
 from elevator_rectify.benchmark.synthetic import HEADER, Trial, oracle_row, run_trial, table_row, yardstick_ms
 from elevator_rectify.benchmark.timing import measurement_line, timing_table
 from elevator_rectify.benchmark.turned import turned_table
@@ -78,7 +78,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1001)
     parser.add_argument("--draws", type=int, default=1000, help="draws a kind of detections without a panel; 0: none")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
-    parser.add_argument("--plot", type=Path, help="folder for the error curves as pictures")
+    parser.add_argument(
+        "--plot", type=Path, help="folder for the error curves, or an example of missed buttons, as pictures"
+    )
     parser.add_argument("--pictures", action="store_true", help="what the picture adds, on rendered and real pictures")
     parser.add_argument("--turns", type=int, default=20, help="virtual rotations of each photograph, with --pictures")
     parser.add_argument(
@@ -117,6 +119,9 @@ def _buttons(options: argparse.Namespace) -> int:
         print(f"real panels skipped: there is no {options.data}/panels_mixed.json")
     if options.trials:
         print("\n" + shown_table(options.levels.split(","), options.trials, options.seed))
+    if options.plot is not None:
+        write_example(options.plot / "missed_buttons.jpg", options.levels.split(",")[0], options.seed)
+        print(f"an example: {options.plot / 'missed_buttons.jpg'}")
     return 0
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.benchmark.pictures import pictured
+from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core.config import Config
+from elevator_rectify.core.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import IntArray
+from elevator_rectify.core.types import BoolArray, GridFit, IntArray
+from elevator_rectify.core.warp import rectify_image
 from elevator_rectify.render.scene import Scene
 
 _CONFIG = Config()
@@ -33,14 +38,19 @@ class Shown:
     errors: tuple[float, ...]
 
 
-def run_shown(task: tuple[str, int, int]) -> Shown:
-    """Remove a fifth of the detections of one rendered panel, and fit with the picture: (level, seed, number)."""
-    level, seed, number = task
+def _drawn(level: str, seed: int, number: int) -> tuple[Pictured, BoolArray, GridFit]:
+    """Return a rendered panel, which of its detections are kept, and the fit of those with the picture."""
     given = pictured(level, seed, number, held_out=True)
     scene = given.scene
     keep = np.random.default_rng([seed, number, 13]).random(len(scene.detections)) >= _REMOVED
     left = [d for d, k in zip(scene.detections, keep, strict=True) if k]
-    fit = fit_panel(left, scene.camera, _CONFIG, image=given.image)
+    return given, keep, fit_panel(left, scene.camera, _CONFIG, image=given.image)
+
+
+def run_shown(task: tuple[str, int, int]) -> Shown:
+    """Remove a fifth of the detections of one rendered panel, and fit with the picture: (level, seed, number)."""
+    given, keep, fit = _drawn(*task)
+    scene = given.scene
     gone = _gone(scene, scene.button[keep])
     if not fit.ok:
         return Shown(False, len(gone), 0, 0, ())
@@ -74,3 +84,18 @@ def shown_table(levels: list[str], trials: int, seed: int) -> str:
             f"{np.median([e for r in judged for e in r.errors]):>24.4f}"
         )
     return "\n".join(lines)
+
+
+def write_example(path: Path, level: str, seed: int) -> None:
+    """Write the first panel of several rows with its labels and inferred buttons: the input, and the rectified view."""
+    drawn = (_drawn(level, seed, number) for number in count())
+    given, keep, fit = next(
+        d for d in drawn if d[2].ok and d[2].rows > 3 and any(b.state == "inferred" for b in d[2].buttons)
+    )
+    kept = np.array([[d.x_px, d.y_px] for d in given.scene.detections])[keep]
+    overlay = draw_overlay(given.image, kept, fit, None, fit.buttons)
+    view = draw_rectified(rectify_image(given.image, given.scene.camera, fit), fit.buttons)
+    height = overlay.shape[0]
+    view = cv2.resize(view, (round(view.shape[1] * height / view.shape[0]), height), interpolation=cv2.INTER_AREA)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.hstack([overlay, view]), [cv2.IMWRITE_JPEG_QUALITY, 85])

@@ -25,7 +25,9 @@ def widened(measured: MeasuredFit, config: Config) -> MeasuredFit:
     fit, places = measured.fit, measured.places
     for side in _SIDES:
         for _ in range(_MOST_LINES):
-            found = _with_line(measured, fit, places, *side)
+            # In line with the others, or else half a pitch aside, as last rows often are.
+            tried = (_with_line(measured, fit, places, *side, stagger) for stagger in (0.0, 1.0))
+            found = next((wider for wider in tried if wider is not None), None)
             if found is None:
                 break
             fit, places = found
@@ -35,10 +37,10 @@ def widened(measured: MeasuredFit, config: Config) -> MeasuredFit:
 
 
 def _with_line(
-    measured: MeasuredFit, fit: LayoutFit, places: Places, axis: int, before: bool
+    measured: MeasuredFit, fit: LayoutFit, places: Places, axis: int, before: bool, stagger: float
 ) -> tuple[LayoutFit, Places] | None:
     """Return fit and places with one more line, None where the picture shows no button in it."""
-    wider, moved, new = _wider(fit, axis, before)
+    wider, moved, new = _wider(fit, axis, before, stagger)
     view = measured.view
     shown = undetected(wider, new, places, view.template, view.picture, view.window, measured.half)
     off = np.hypot(*(shown.offset / measured.half).T)
@@ -50,7 +52,7 @@ def _with_line(
     return replace(wider, node=moved[fit.node]), joined(replace(places, node=moved[places.node]), kept)
 
 
-def _wider(fit: LayoutFit, axis: int, before: bool) -> tuple[LayoutFit, IntArray, IntArray]:
+def _wider(fit: LayoutFit, axis: int, before: bool, stagger: float) -> tuple[LayoutFit, IntArray, IntArray]:
     """Return the fit with one more line, the new indices of its nodes, and the nodes of the line."""
     layout = fit.layout if axis == 0 else fit.layout.transposed
     ends, shift = (layout.rows[0] - 1.0, layout.rows[-1] + 1.0), int(before)
@@ -58,7 +60,7 @@ def _wider(fit: LayoutFit, axis: int, before: bool) -> tuple[LayoutFit, IntArray
     longer = Layout(
         np.insert(layout.rows, at, ends[not before]),
         layout.columns,
-        np.insert(layout.row_stagger, at, 0.0),
+        np.insert(layout.row_stagger, at, stagger),
         layout.column_stagger,
         tuple(b + shift for b in layout.row_breaks),
         layout.column_breaks,
