@@ -13,7 +13,7 @@ from elevator_rectify.core.motion import rotation_angle_rad
 from elevator_rectify.core.patches import Window, picture_of, sample
 from elevator_rectify.core.template import align, make_template, symmetry_centre
 from elevator_rectify.core.types import Array, GridFit
-from elevator_rectify.core.widening import _wider
+from elevator_rectify.core.widening import _Side, _wider
 from elevator_rectify.evaluate import cells_right
 from elevator_rectify.render.scene import Scene, paper_camera
 
@@ -172,7 +172,7 @@ def test_a_wider_layout_keeps_its_nodes_where_they_are(axis: int, before: bool, 
     layout = Layout(rows, columns, np.array([0.0, 1.0, 0.0]), np.zeros(4), (2,), (3,))
     facing = Poses(np.eye(3)[None], np.array([[0.0, 0.0, 1.0]]), np.zeros(1), np.zeros((1, 2)), np.zeros(1))
     fit = LayoutFit(facing, layout, np.arange(12), np.ones(12), 0.0, 0.0)
-    wider, moved, new = _wider(fit, axis, before, stagger)
+    wider, moved, new = _wider(fit, _Side(axis, before, stagger))
     after = wider.layout.nodes.reshape(-1, 2)
     np.testing.assert_array_equal(after[moved], layout.nodes.reshape(-1, 2))
     assert sorted([*moved, *new]) == list(range(len(after)))

@@ -98,18 +98,31 @@ def undetected(
     fit: LayoutFit, nodes: IntArray, places: Places, template: Template, picture: Picture, window: Window, half: Array
 ) -> Places:
     """Return the buttons that the detector missed: cells that look like the template, where the lattice has them."""
-    lattice = fit.layout.nodes.reshape(-1, 2)[nodes]
+    return seen_at(fit, fit.layout.nodes.reshape(-1, 2)[nodes], nodes, places, template, picture, window, half)
+
+
+def seen_at(
+    fit: LayoutFit,
+    lattice: Array,
+    names: IntArray,
+    places: Places,
+    template: Template,
+    picture: Picture,
+    window: Window,
+    half: Array,
+) -> Places:
+    """Return the buttons that look like the template at lattice points (M, 2), which are named by `names` (M,)."""
     patches, inside = sample(picture, fit.pose.maps[0], lattice, window)
     found = align(template, feature(patches, template.blur), inside)
     offset = found.shift * window.step
     usual, off = float(np.median(places.correlation)), np.hypot(*(offset / half).T)
-    seen = np.zeros(len(nodes), dtype=bool)
+    seen = np.zeros(len(names), dtype=bool)
     for farthest, least, share, least_inside in _UNDETECTED:
         alike = found.correlation > max(least, share * usual)
         seen |= (off < farthest) & alike & (inside.mean(axis=(1, 2)) > least_inside)
     per_ray = np.linalg.inv(jacobians(fit.pose, lattice[seen][None])[2][0])
     covariance = _in_pitches(found.covariance[seen], window) + _floor(picture) * (per_ray @ np.swapaxes(per_ray, 1, 2))
-    return Places(nodes[seen], offset[seen], covariance, found.correlation[seen], seen[seen], ~seen[seen])
+    return Places(names[seen], offset[seen], covariance, found.correlation[seen], seen[seen], ~seen[seen])
 
 
 def centred(places: Places, boxes: Boxes, template: Template, picture: Picture, window: Window, half: Array) -> Places:
