@@ -32,8 +32,9 @@ _CENTRE_STD_PX = 0.5
 _OUTLINE_STD_RAD = 0.03
 # Buttons on one line are no further off it, in heights; centres lie off their lines by so much, or anywhere.
 _SAME_LINE = 0.5
-_OFF_LINE, _ANY_PLACE = 0.06, 0.02
-_SAME_TURN_RAD = np.deg2rad(4.0)
+_OFF_LINE, _ANY_PLACE = 0.06, 0.002
+# Rows that run another way by more than this are another pose, unless they are less likely by so many nats.
+_SAME_TURN_RAD, _TURN_NATS = np.deg2rad(8.0), 3.0
 
 
 def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refused: GridFit) -> GridFit:
@@ -58,7 +59,7 @@ def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refuse
         )
         reason = f"two poses explain the outlines, {found.margin:.2g} nats apart"
         return replace(result, status="ambiguous", reason=reason, alternatives=(other,))
-    if turn.margin < config.outline.ambiguity_nats:
+    if turn.margin < _TURN_NATS:
         reason = f"the buttons' rows may run another way, {turn.margin:.2g} nats less likely"
         return replace(result, status="ambiguous", reason=reason)
     return _judged(result, config)
