@@ -5,6 +5,7 @@ from elevator_rectify.core.motion import rotation
 from elevator_rectify.core.pose import (
     LatticePose,
     lattice_jacobian,
+    on_plane,
     pose_covariance,
     pose_from_homography,
     scale_pose_covariance,
@@ -62,3 +63,12 @@ def test_scale_uncertainty_moves_the_translation_along_itself() -> None:
     scaled = scale_pose_covariance(covariance, t, 0.045, 0.002)
     assert np.sqrt(scaled[2, 2]) == pytest.approx(10 * 0.002, rel=1e-3)
     assert scaled[3, 3] == pytest.approx(1e-6)
+
+
+def test_rays_meet_the_plane_where_its_points_are() -> None:
+    R, t = rotation(np.array([0.4, -0.3, 0.1])), np.array([0.1, -0.2, 2.0])
+    plane = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 2))
+    points = plane @ R[:, :2].T + t
+    found, depth = on_plane(R, t, points[:, :2] / points[:, 2:])
+    np.testing.assert_allclose(found, plane, atol=1e-12)
+    np.testing.assert_allclose(depth, points[:, 2], rtol=1e-12)

@@ -15,7 +15,7 @@ from elevator_rectify.core.config import TargetConfig
 from elevator_rectify.core.filled import COEFFICIENTS, FEATURES, features, missed
 from elevator_rectify.core.misread import confusion, looks_like
 from elevator_rectify.core.orders import Order, likely_orders
-from elevator_rectify.core.places import Places
+from elevator_rectify.core.places import PanelPlaces
 from elevator_rectify.core.text_grid import text_grid
 from elevator_rectify.core.types import Array
 from test.test_buttons import METRIC, VIEW, labelled
@@ -244,8 +244,8 @@ def test_floors_along_the_diagonals_of_a_brick_layout_are_read() -> None:
     assert (np.diff(number[best.index]) > 0).all()
 
 
-def bare_places(line: Array, at: Array) -> Places:
+def bare_places(line: Array, at: Array) -> PanelPlaces:
     """Return places with a button at each and no more."""
     count, no = len(line), np.zeros(len(line), dtype=bool)
     texts = ("",) * count
-    return Places(count, line, at, at, np.arange(count), texts, texts, np.ones(count), no, no, no)
+    return PanelPlaces(count, line, at, at, np.arange(count), texts, texts, np.ones(count), no, no, no)

@@ -14,7 +14,7 @@ from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.few import FewFit, fit_few
 from elevator_rectify.core.lattice_fit import rotations
 from elevator_rectify.core.outlines import OutlineFit, OutlineModel
-from elevator_rectify.core.pose import LatticePose
+from elevator_rectify.core.pose import LatticePose, on_plane
 from elevator_rectify.core.result import Geometry, with_geometry
 from elevator_rectify.core.straight_edges import Segments, segments_of, sharpened
 from elevator_rectify.core.types import Array, GridFit, Image, IntArray, Measurement
@@ -126,7 +126,7 @@ def _result(
     covariance = covariance * config.accept.covariance_scale
     if len(segments.normal):
         R, covariance = sharpened(R, covariance, segments)
-    plane = _on_plane(R, model.origin, usable.rays)
+    plane = on_plane(R, model.origin, usable.rays)[0]
     rows, row = _lines(plane[:, 1], height)
     columns, column = _lines(plane[:, 0], height)
     pitch, aspect = _pitch(rows, columns, height)
@@ -197,16 +197,9 @@ def _quarter(angle: Array) -> Array:
 
 def _turned(model: OutlineModel, usable: Usable, camera: Camera) -> Turn:
     """Return how rows run in the outlines' plane; edges of squares say it too, circles are upright as the camera is."""
-    plane = _on_plane(model.R, model.origin, usable.rays)
+    plane = on_plane(model.R, model.origin, usable.rays)[0]
     upright = _UPRIGHT_STD_RAD if model.round else _OUTLINE_STD_RAD
     return turn_of(plane, 2.0 * float(model.half[-1]), upright, _CENTRE_STD_PX / camera.focal_px)
-
-
-def _on_plane(R: Array, origin: Array, rays: Array) -> Array:
-    """Return where rays (N, 2) meet the plane, (N, 2) in its own axes."""
-    lines = np.column_stack([rays, np.ones(len(rays))])
-    points = lines * ((R[:, 2] @ origin) / (lines @ R[:, 2]))[:, None]
-    return np.asarray((points - origin) @ R[:, :2])
 
 
 def _lines(coordinate: Array, height: float) -> tuple[Array, IntArray]:

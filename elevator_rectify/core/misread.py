@@ -6,7 +6,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from elevator_rectify.core.places import Places
+from elevator_rectify.core.places import PanelPlaces
 from elevator_rectify.core.types import Array, IntArray
 
 LOWEST, HIGHEST = -9, 130
@@ -79,7 +79,7 @@ def right_alone(label: str, score: Array) -> Array:
     return np.asarray(low + (high - low) * np.clip(np.nan_to_num(score), 0.0, 1.0))
 
 
-def emissions_of(places: Places, present: Array, right: Array, numbers: IntArray) -> tuple[Array, Array]:
+def emissions_of(places: PanelPlaces, present: Array, right: Array, numbers: IntArray) -> tuple[Array, Array]:
     """Return the likelihoods (Q, K, S) of each place's reading for every floor, and (Q, K) for something else.
 
     present (K,), right (Q, K): the probabilities that there is a button, and that it is read right, by Q hypotheses.

@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from elevator_rectify.core.places import Places
+from elevator_rectify.core.places import PanelPlaces
 from elevator_rectify.core.types import Array, BoolArray, IntArray
 
 # How often panels are numbered so, of 401: row by row from below, left to right; by columns; from the right; downwards.
@@ -40,7 +40,7 @@ class Order:
     prior: float
 
 
-def likely_orders(places: Places, number: Array) -> list[Order]:
+def likely_orders(places: PanelPlaces, number: Array) -> list[Order]:
     """Return the orders that the readings support most; number (K,): as read, NaN for none."""
     found: list[tuple[Order, float]] = []
     for order in _orders(places):
@@ -52,7 +52,7 @@ def likely_orders(places: Places, number: Array) -> list[Order]:
     return [order for order, support in found[:_FOLLOWED] if support > found[0][1] - _HOPELESS_NATS]
 
 
-def _orders(places: Places) -> Iterator[Order]:
+def _orders(places: PanelPlaces) -> Iterator[Order]:
     """Yield the orders, the most usual one first."""
     (row, column), (down, along) = places.line.T, places.at.T
     for (a, b), prior in _BY_ROWS.items():

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from elevator_rectify.core.labels import canonical
+from elevator_rectify.core.pose import on_plane
 from elevator_rectify.core.types import Array, BoolArray, Detection, GridFit, IntArray
 
 # A detection so far from the outer lines, in pitches, is of something else than the panel.
@@ -22,7 +23,7 @@ _SMALLEST, _LARGEST = 0.5, 2.0
 
 
 @dataclass(frozen=True)
-class Places:
+class PanelPlaces:
     """K places: rows x columns cells row by row, then the detections beside them.
 
     line: (K, 2) row and column counted from the upper left, of the others the nearest ones or a half between; at:
@@ -50,7 +51,7 @@ class Places:
         return np.asarray((self.detection >= 0) | self.shown)
 
 
-def places_of(fit: GridFit) -> Places:
+def places_of(fit: GridFit) -> PanelPlaces:
     """Return the places of a fit that has a grid."""
     ranked, cells = _ranked(fit), fit.grid_panel.reshape(-1, 2)
     detection = _in_cells(fit, ranked)
@@ -63,7 +64,7 @@ def places_of(fit: GridFit) -> Places:
     given = [fit.detections[k] if k >= 0 and fit.detections else None for k in detection.tolist()]
     line, at = _lines(fit, panel)
     none = np.zeros(len(beside), dtype=bool)
-    return Places(
+    return PanelPlaces(
         cells=len(cells),
         line=line,
         at=at,
@@ -107,7 +108,7 @@ def _beside(fit: GridFit, filled: BoolArray, ranked: list[int]) -> tuple[IntArra
     out = np.array([k for k in ranked if fit.detections and fit.cells[k, 0] < 0], dtype=np.int64)
     if not len(out):
         return out, np.zeros((0, 2))
-    panel, depth = _on_plane(fit, fit.rays[out])
+    panel, depth = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[out])
     box = fit.grid_panel.reshape(-1, 2)
     with np.errstate(invalid="ignore"):
         inside = (panel > box.min(axis=0) - _REACH * fit.pitch) & (panel < box.max(axis=0) + _REACH * fit.pitch)
@@ -118,15 +119,6 @@ def _beside(fit: GridFit, filled: BoolArray, ranked: list[int]) -> tuple[IntArra
         if (_distances(fit, panel[[k]], panel[index]) >= _SAME_PLACE).all():
             index.append(k)
     return out[index], panel[index]
-
-
-def _on_plane(fit: GridFit, rays: Array) -> tuple[Array, Array]:
-    """Return where rays (N, 2) meet the panel, (N, 2) in its frame, and their depths (N,)."""
-    lines = np.column_stack([rays, np.ones(len(rays))])
-    normal = fit.R_camera_panel[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = (normal @ fit.t_camera_panel) / (lines @ normal)
-        return (lines * depth[:, None] - fit.t_camera_panel) @ fit.R_camera_panel[:, :2], depth
 
 
 def _usual_size(fit: GridFit, index: IntArray, depth: Array) -> BoolArray:

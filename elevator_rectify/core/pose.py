@@ -98,3 +98,11 @@ def covariance_at(covariance: Array, arm: Array) -> Array:
     T = np.broadcast_to(np.eye(6), (*arm.shape[:-1], 6, 6)).copy()
     T[..., :3, 3:] = -cross_matrix(arm)
     return np.asarray(T @ covariance @ np.swapaxes(T, -1, -2))
+
+
+def on_plane(R: Array, t: Array, rays: Array) -> tuple[Array, Array]:
+    """Return where rays (N, 2), normalised, meet the plane of a pose, (N, 2) in its frame, and their depths (N,)."""
+    lines = np.column_stack([rays, np.ones(len(rays))])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (R[:, 2] @ t) / (lines @ R[:, 2])
+        return np.asarray((lines * depth[:, None] - t) @ R[:, :2]), depth

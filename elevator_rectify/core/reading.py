@@ -8,7 +8,7 @@ import numpy as np
 
 from elevator_rectify.core.filled import missed
 from elevator_rectify.core.misread import is_number, right_alone
-from elevator_rectify.core.places import Places, places_of
+from elevator_rectify.core.places import PanelPlaces, places_of
 from elevator_rectify.core.sequence import Floors, floors_of
 from elevator_rectify.core.types import Array, BoolArray, GridFit
 
@@ -29,7 +29,7 @@ class Reading:
     """Of K places: present (K,) the probability of a button; floors, None where no number is read; floor_nats (K,) the
     log odds that their order gives for a floor at a place without a detection, beyond what was known."""
 
-    places: Places
+    places: PanelPlaces
     present: Array
     floors: Floors | None
     floor_nats: Array
@@ -47,7 +47,7 @@ def read_panel(fit: GridFit) -> Reading:
     return Reading(places, present, None if floors is None else _scaled(floors, present, filled), nats)
 
 
-def _prior(fit: GridFit, places: Places) -> Array:
+def _prior(fit: GridFit, places: PanelPlaces) -> Array:
     """Return (K,) the probability of a button before the panel's layout and its floors are looked at."""
     prior = np.where(places.taken | places.beyond, _NO_CELL, _EVEN)
     if fit.measurement is not None:
@@ -55,7 +55,7 @@ def _prior(fit: GridFit, places: Places) -> Array:
     return np.where(places.filled, 1.0, prior)
 
 
-def _present(fit: GridFit, places: Places, nats: Array) -> Array:
+def _present(fit: GridFit, places: PanelPlaces, nats: Array) -> Array:
     """Return (K,) the probability of a button, as the panel's layout and its floors' order say."""
     present = np.full(len(nats), _BESIDE)
     found = missed(fit, places, nats[: places.cells])

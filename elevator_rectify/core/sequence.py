@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.core.chain import Emissions, Posterior, forward_backward
 from elevator_rectify.core.misread import HIGHEST, LOWEST, emissions_of, is_number, reader_qualities
 from elevator_rectify.core.orders import likely_orders
-from elevator_rectify.core.places import Places
+from elevator_rectify.core.places import PanelPlaces
 from elevator_rectify.core.types import Array, IntArray
 
 # No order at all: every label for itself; floors and others are as frequent as on panels.
@@ -30,7 +30,7 @@ class Floors:
     other: Array
 
 
-def floors_of(places: Places, present: Array) -> Floors:
+def floors_of(places: PanelPlaces, present: Array) -> Floors:
     """Return the probabilities of the floors; present (K,): that there is a button, 1 where one was detected.
 
     The reader may have been better or worse, and its scores may mean something or not: hypotheses, as the orders are.
@@ -60,7 +60,7 @@ def _in_order(read: Emissions, index: IntArray) -> Emissions:
     )
 
 
-def _numbers(places: Places) -> tuple[Array, IntArray]:
+def _numbers(places: PanelPlaces) -> tuple[Array, IntArray]:
     """Return the numbers (K,) as read, NaN for none, and those (S,) that are considered, without a gap."""
     number = np.array([float(text) if is_number(text) else np.nan for text in places.label])
     unread = sum(not text for text, filled in zip(places.label, places.filled, strict=True) if filled)
