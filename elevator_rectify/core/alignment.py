@@ -55,6 +55,11 @@ def joined(one: Places, other: Places) -> Places:
     return Places(*(np.concatenate([getattr(one, f.name), getattr(other, f.name)]) for f in fields(Places)))
 
 
+def chosen(places: Places, on: BoolArray) -> Places:
+    """Return those of the places (M,) that are `on`."""
+    return Places(*(getattr(places, f.name)[on] for f in fields(Places)))
+
+
 def boxes_of(fit: LayoutFit, rays: Array, sigma: float) -> Boxes:
     """Return the filled nodes of a fit to detections at rays (N, 2)."""
     on = fit.inlier > 0.5

@@ -27,8 +27,7 @@ def draw_overlay(
     corrected and inferred ones in amber; around buttons without detection there is a dashed circle.
     """
     canvas = as_colour(image)
-    size = max(8, round(0.018 * max(canvas.shape[:2])))
-    thickness = max(1, size // 8)
+    size, thickness = _stroke(canvas)
     for x, y in _drawable(fit.grid_px.reshape(-1, 2)):
         cv2.drawMarker(canvas, (x, y), RED, cv2.MARKER_CROSS, size, thickness)
     for x, y in _drawable(centres_px):
@@ -44,10 +43,16 @@ def draw_overlay(
 def draw_rectified(view: Rectification, buttons: Sequence[Button], target: Button | None = None) -> Image:
     """Return the rectified view with the buttons' labels, inferred buttons and the target as in `draw_overlay`."""
     canvas = as_colour(view.image)
-    size = max(8, round(0.018 * max(canvas.shape[:2])))
+    size, thickness = _stroke(canvas)
     at = [_in_view(button, view) for button in buttons]
-    _draw_buttons(canvas, at, None if target is None else _in_view(target, view), size, max(1, size // 8))
+    _draw_buttons(canvas, at, None if target is None else _in_view(target, view), size, thickness)
     return canvas
+
+
+def _stroke(canvas: Image) -> tuple[int, int]:
+    """Return size and thickness of marks, in pixels."""
+    size = max(8, round(0.018 * max(canvas.shape[:2])))
+    return size, max(1, size // 8)
 
 
 def _in_view(button: Button, view: Rectification) -> Button:

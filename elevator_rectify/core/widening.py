@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.alignment import Places, joined, seen_at
+from elevator_rectify.core.alignment import Places, chosen, joined, seen_at
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.layout import Layout, LayoutFit
 from elevator_rectify.core.measured import MeasuredFit, fitted
@@ -61,13 +61,11 @@ def _shown(measured: MeasuredFit, fit: LayoutFit, places: Places) -> tuple[list[
     found = seen_at(fit, points, names, places, view.template, view.picture, view.window, view.half)
     least = max(_LEAST_CORRELATION, _LEAST_SHARE * float(np.median(places.correlation[places.seen])))
     sure = (np.hypot(*(found.offset / view.half).T) < _FARTHEST) & (found.correlation > least)
-    chosen: dict[tuple[int, bool], int] = {}
+    lines: dict[tuple[int, bool], int] = {}
     for k in np.unique(line[found.node[sure]]).tolist():
-        chosen.setdefault((_SIDES[k].axis, _SIDES[k].before), k)
-    kept = sure & np.isin(line[found.node], list(chosen.values()))
-    names = found.node[kept]
-    some = Places(*(getattr(found, name)[kept] for name in Places.__dataclass_fields__))
-    return [_SIDES[k] for k in sorted(chosen.values())], points[names], some
+        lines.setdefault((_SIDES[k].axis, _SIDES[k].before), k)
+    kept = sure & np.isin(line[found.node], list(lines.values()))
+    return [_SIDES[k] for k in sorted(lines.values())], points[found.node[kept]], chosen(found, kept)
 
 
 def _points(fit: LayoutFit, side: _Side) -> Array:
