@@ -14,8 +14,8 @@ def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: 
     """Return one Detection3D per button: pose at its cell or beside the grid, facing into the panel, label and score.
 
     id is "row,column", "row,column,inferred" for one without a detection, "beside,N" for detection N beside the grid.
-    results[0].hypothesis has the button's label as class_id. Its score is the detector's where the label is as read, else
-    the label's probability.
+    results[0].hypothesis has the button's label as class_id; its score is the detector's where the label is as read,
+    else the label's probability.
     """
     found = [_detection(fit, button, header, make) for button in buttons if button.state != "empty"]
     return make("vision_msgs/msg/Detection3DArray", header=header, detections=found)
