@@ -12,7 +12,7 @@ setup(
     description="Fits the button grid of an elevator panel, estimates its pose and rectifies its view.",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.core": ["*.json"], NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "core/**/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -25,12 +25,12 @@ setup(
     entry_points={
         "console_scripts": [
             "node = elevator_rectify.ros.node:main",
-            "replay = elevator_rectify.replay:main",
+            "replay = elevator_rectify.recordings.replay:main",
             "render = elevator_rectify.render.bag:main",
-            "make_bag = elevator_rectify.make_bag:main",
-            "play = elevator_rectify.play:main",
+            "make_bag = elevator_rectify.recordings.make_bag:main",
+            "play = elevator_rectify.recordings.play:main",
             "benchmark = elevator_rectify.benchmark.program:main",
-            "calibrate = elevator_rectify.calibrate:main",
+            "calibrate = elevator_rectify.calibrate.confidence:main",
             "relay = elevator_rectify.live.relay:main",
             "latency = elevator_rectify.live.latency:main",
             "soak = elevator_rectify.live.soak:main",

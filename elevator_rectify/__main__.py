@@ -8,17 +8,17 @@ import sys
 # Program: module with a main(arguments) function, and what it is for.
 PROGRAMS = {
     "node": ("elevator_rectify.ros.node", "the ROS 2 node"),
-    "replay": ("elevator_rectify.replay", "run a bag through the pipeline, offline"),
+    "replay": ("elevator_rectify.recordings.replay", "run a bag through the pipeline, offline"),
     "render": ("elevator_rectify.render.bag", "make a bag of rendered panels with their truth"),
-    "make_bag": ("elevator_rectify.make_bag", "make a bag from pictures and a JSON of boxes"),
-    "play": ("elevator_rectify.play", "play a bag into live topics"),
+    "make_bag": ("elevator_rectify.recordings.make_bag", "make a bag from pictures and a JSON of boxes"),
+    "play": ("elevator_rectify.recordings.play", "play a bag into live topics"),
     "benchmark": ("elevator_rectify.benchmark.program", "how right, how honest, how fast: three tables"),
-    "calibrate": ("elevator_rectify.calibrate", "refit the confidence on generated scenes"),
+    "calibrate": ("elevator_rectify.calibrate.confidence", "refit the confidence on generated scenes"),
     "latency": ("elevator_rectify.live.latency", "latency and processor time of the live node beside a bare relay"),
     "relay": ("elevator_rectify.live.relay", "the bare relay of the latency table"),
     "soak": ("elevator_rectify.live.soak", "memory, rates and latencies of the live node over many frames"),
     "chaos": ("elevator_rectify.live.chaos", "the live node under everything that goes wrong, its counts checked"),
-    "demo": ("elevator_rectify.demo", "the live node, fed by a bag over DDS, checked and shown"),
+    "demo": ("elevator_rectify.live.demo", "the live node, fed by a bag over DDS, checked and shown"),
 }
 
 

@@ -14,7 +14,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
-from elevator_rectify.demo import dds_environment
+from elevator_rectify.live.demo import dds_environment
 from elevator_rectify.ros.messages import installed, ros_type
 from elevator_rectify.ros.output import BUTTONS, TARGET, TOPICS
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core import Config, fit_panel, rectify_image
-from elevator_rectify.core.draw import draw_rectified
+from elevator_rectify.core.view.draw import draw_rectified
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.config import NodeConfig
 from elevator_rectify.ros.messages import make_ros

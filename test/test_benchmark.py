@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elevator_rectify import calibrate, calibrate_filled
 from elevator_rectify.benchmark import program
 from elevator_rectify.benchmark.buttons import run_read
 from elevator_rectify.benchmark.missing import entries, run_removed
@@ -14,8 +13,12 @@ from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation, t
 from elevator_rectify.benchmark.real import photographs
 from elevator_rectify.benchmark.synthetic import calibration_error, run_trial
 from elevator_rectify.benchmark.turned import run_photograph
-from elevator_rectify.core import confidence, few_result, picture_fit
-from elevator_rectify.logistic import logistic_regression
+from elevator_rectify.calibrate import confidence as calibrate
+from elevator_rectify.calibrate import filled as calibrate_filled
+from elevator_rectify.calibrate.logistic import logistic_regression
+from elevator_rectify.core import confidence
+from elevator_rectify.core.outline import result as few_result
+from elevator_rectify.core.picture import fit as picture_fit
 from elevator_rectify.render.levels import LEVELS, random_scene
 from test.scenes import rotation_error_deg
 

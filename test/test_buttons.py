@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from elevator_rectify.core import Config, Detection, GridFit, find_button, fit_panel, fit_panels
 from elevator_rectify.core.config import ScaleConfig, TargetConfig
-from elevator_rectify.core.labels import aliases, canonical
-from elevator_rectify.core.target import lateral_std
+from elevator_rectify.core.reading.labels import aliases, canonical
+from elevator_rectify.core.reading.target import lateral_std
 from elevator_rectify.core.types import Array
 from elevator_rectify.render.panel import PITCH_M
 from test.scenes import scene

@@ -32,10 +32,10 @@ def test_the_ros_layer_does_not_know_the_programs() -> None:
 
 def test_replay_needs_no_rclpy() -> None:
     for module in (
-        "replay",
-        "bag",
-        "report",
-        "make_bag",
+        "recordings/replay",
+        "ros/bag",
+        "recordings/report",
+        "recordings/make_bag",
         "render/bag",
         "ros/answer",
         "ros/convert",

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from elevator_rectify.benchmark.pictures import few_pictured
 from elevator_rectify.core import Config, Detection, GridFit, fit_panel, rectify_image
 from elevator_rectify.core.config import with_values
-from elevator_rectify.core.few_result import turn_of
-from elevator_rectify.core.motion import rotation, rotation_angle_rad
-from elevator_rectify.core.outlines import shape_points
-from elevator_rectify.core.straight_edges import segments_of, sharpened, support
+from elevator_rectify.core.outline.result import turn_of
+from elevator_rectify.core.outline.shapes import shape_points
+from elevator_rectify.core.paper.motion import rotation, rotation_angle_rad
+from elevator_rectify.core.picture.straight_edges import segments_of, sharpened, support
 from elevator_rectify.core.types import Array, Image
 from elevator_rectify.render.scene import paper_camera
 

@@ -5,10 +5,23 @@ import pytest
 
 from elevator_rectify.core import Camera, Config, fit_panel, fit_panels
 from elevator_rectify.core.config import HypothesesConfig, JointConfig, with_values
-from elevator_rectify.core.hypotheses import fit_homographies, grown_hypotheses, lattice_coordinates, nearest_nodes
-from elevator_rectify.core.lattice_fit import Poses, jacobians, mirrored, poses_from_maps, projected, rotations, stepped
+from elevator_rectify.core.lattice.hypotheses import (
+    fit_homographies,
+    grown_hypotheses,
+    lattice_coordinates,
+    nearest_nodes,
+)
+from elevator_rectify.core.lattice.refinement import (
+    Poses,
+    jacobians,
+    mirrored,
+    poses_from_maps,
+    projected,
+    rotations,
+    stepped,
+)
 from elevator_rectify.core.types import IntArray
-from elevator_rectify.evaluate import cells_right
+from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.panel import PITCH_M, Button, Look, Panel, framed, regular_panel, with_gap
 from elevator_rectify.render.scene import DetectorModel, Scene, Viewpoint, make_scene, paper_camera

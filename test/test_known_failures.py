@@ -4,7 +4,7 @@ import pytest
 
 from elevator_rectify.benchmark.synthetic import run_trial
 from elevator_rectify.core import fit_panel
-from elevator_rectify.evaluate import cells_right
+from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.levels import LEVELS, random_scene
 
 SEARCH = "six of ten buttons under strong tilt: no triple of neighbours spans one cell, so no seed has the right basis"

@@ -7,14 +7,14 @@ import pytest
 
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
 from elevator_rectify.core import Camera, Config, fit_panel
-from elevator_rectify.core.lattice_fit import Poses
-from elevator_rectify.core.layout import Layout, LayoutFit
-from elevator_rectify.core.motion import rotation_angle_rad
-from elevator_rectify.core.patches import Window, picture_of, sample
-from elevator_rectify.core.template import align, make_template, symmetry_centre
+from elevator_rectify.core.lattice.layout import Layout, LayoutFit
+from elevator_rectify.core.lattice.refinement import Poses
+from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.picture.patches import Window, picture_of, sample
+from elevator_rectify.core.picture.template import align, make_template, symmetry_centre
+from elevator_rectify.core.picture.widening import _Side, _wider
 from elevator_rectify.core.types import Array, GridFit
-from elevator_rectify.core.widening import _Side, _wider
-from elevator_rectify.evaluate import cells_right
+from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.scene import Scene, paper_camera
 
 _N = 33

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core.config import EmConfig
-from elevator_rectify.core.mixture import COORDINATE, JOINT, Mixture, e_step, fit_mixture, initial_mixture, m_step
+from elevator_rectify.core.paper.mixture import COORDINATE, JOINT, Mixture, e_step, fit_mixture, initial_mixture, m_step
 from elevator_rectify.core.types import Array
 
 CONFIG = EmConfig()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core.config import MotionConfig
-from elevator_rectify.core.motion import estimate_motion, jacobian, no_motion, rotation, transform
+from elevator_rectify.core.paper.motion import estimate_motion, jacobian, no_motion, rotation, transform
 from elevator_rectify.core.types import Array
 from test.scenes import rotation_error_deg
 

@@ -132,7 +132,7 @@ def test_a_wrong_parameter_ends_the_node_with_a_message() -> None:
 
 
 def test_the_demo_answers_every_image(tmp_path: Path) -> None:
-    script = "import sys; from elevator_rectify.demo import main; sys.exit(main(sys.argv[1:]))"
+    script = "import sys; from elevator_rectify.live.demo import main; sys.exit(main(sys.argv[1:]))"
     command = [
         sys.executable,
         "-c",

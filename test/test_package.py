@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import elevator_rectify
-from elevator_rectify.demo import dds_environment
+from elevator_rectify.live.demo import dds_environment
 
 ROOT = Path(__file__).parent.parent
 SOURCES = ("package.xml", "setup.py", "setup.cfg", "elevator_rectify", "resource", "config", "launch", "LICENSE")

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from elevator_rectify.core import Camera, Config, Detection, fit_panel
 from elevator_rectify.core.config import METHODS, ScaleConfig, with_values
 from elevator_rectify.core.types import Array
-from elevator_rectify.evaluate import cells_right
+from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.panel import PITCH_M
 from elevator_rectify.render.scene import paper_camera
 from test.scenes import DISTORTED, distorted_camera, rotation_error_deg, scene

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from elevator_rectify.core.motion import rotation
-from elevator_rectify.core.pose import (
+from elevator_rectify.core.geometry.pose import (
     LatticePose,
     lattice_jacobian,
     on_plane,
@@ -10,6 +9,7 @@ from elevator_rectify.core.pose import (
     pose_from_homography,
     scale_pose_covariance,
 )
+from elevator_rectify.core.paper.motion import rotation
 from elevator_rectify.core.types import Array
 from test.scenes import rotation_error_deg
 

@@ -8,10 +8,10 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from elevator_rectify import make_bag, replay
-from elevator_rectify.bag import BadBag, bag_topics, bag_writer, read_bag
+from elevator_rectify.recordings import make_bag, replay
+from elevator_rectify.recordings.report import read_outcomes
 from elevator_rectify.render import bag as render
-from elevator_rectify.report import read_outcomes
+from elevator_rectify.ros.bag import BadBag, bag_topics, bag_writer, read_bag
 from elevator_rectify.ros.messages import MakeRosbags
 from elevator_rectify.ros.output import TOPICS
 

@@ -9,9 +9,9 @@ import pytest
 
 from elevator_rectify.core import Config, fit_panel
 from elevator_rectify.core.config import ScaleConfig, SmoothingConfig
-from elevator_rectify.core.motion import rotation
-from elevator_rectify.core.pose import covariance_at
-from elevator_rectify.core.scale import scaled, with_scale
+from elevator_rectify.core.geometry.pose import covariance_at
+from elevator_rectify.core.geometry.scale import scaled, with_scale
+from elevator_rectify.core.paper.motion import rotation
 from elevator_rectify.core.track import smoothed
 from elevator_rectify.core.types import Array, GridFit
 from elevator_rectify.render.panel import PITCH_M

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core import Button, Detection, GridFit, find_button, fit_panel
-from elevator_rectify.core.chain import OTHER, OTHER_BEFORE, Emissions, forward_backward, step_table
 from elevator_rectify.core.config import TargetConfig
-from elevator_rectify.core.filled import COEFFICIENTS, FEATURES, features, missed
-from elevator_rectify.core.misread import confusion, looks_like
-from elevator_rectify.core.orders import Order, likely_orders
-from elevator_rectify.core.places import PanelPlaces
-from elevator_rectify.core.text_grid import text_grid
+from elevator_rectify.core.reading.chain import OTHER, OTHER_BEFORE, Emissions, forward_backward, step_table
+from elevator_rectify.core.reading.filled import COEFFICIENTS, FEATURES, features, missed
+from elevator_rectify.core.reading.misread import confusion, looks_like
+from elevator_rectify.core.reading.orders import Order, likely_orders
+from elevator_rectify.core.reading.places import PanelPlaces
 from elevator_rectify.core.types import Array
+from elevator_rectify.core.view.text_grid import text_grid
 from test.test_buttons import METRIC, VIEW, labelled
 
 

@@ -18,10 +18,10 @@ from elevator_rectify.benchmark.missing import (
     run_removed,
 )
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.core.buttons import buttons_of
-from elevator_rectify.core.misread import HIGHEST, LOWEST, confusion
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.target import find_button
+from elevator_rectify.core.reading.buttons import buttons_of
+from elevator_rectify.core.reading.misread import HIGHEST, LOWEST, confusion
+from elevator_rectify.core.reading.target import find_button
 from elevator_rectify.core.types import Detection, GridFit
 
 _UNREAD, _MISREAD, _ABSENT = 0.2, 0.1, 0.2

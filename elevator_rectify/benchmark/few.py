@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import few_pictured
 from elevator_rectify.core.config import Config, with_values
-from elevator_rectify.core.motion import rotation_angle_rad
+from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, GridFit
 

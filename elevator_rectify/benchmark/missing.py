@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from elevator_rectify.benchmark.real import boxes_to_detections, centred_camera, panel_corner
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config, with_values
-from elevator_rectify.core.labels import canonical
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.types import Array, BoolArray, Detection, GridFit, IntArray
-from elevator_rectify.make_bag import ASSUMED_FOCAL
+from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
 
 # The pitch is assumed: only labels are judged here.
 CONFIG = with_values(Config(), {"scale.column_pitch_m": 0.045, "target.max_lateral_std_m": 1.0})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from elevator_rectify.core.config import JointConfig
-from elevator_rectify.core.lattice_fit import Poses, gauss_newton, jacobians, stepped
+from elevator_rectify.core.lattice.refinement import Poses, gauss_newton, jacobians, stepped
 from elevator_rectify.core.types import Array
 from elevator_rectify.render.scene import Scene
 

@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, Detection, GridFit
-from elevator_rectify.make_bag import ASSUMED_FOCAL
+from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
 
 _CONFIG = Config()
 

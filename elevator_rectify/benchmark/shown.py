@@ -12,10 +12,10 @@ import numpy as np
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core.config import Config
-from elevator_rectify.core.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import BoolArray, GridFit, IntArray
-from elevator_rectify.core.warp import rectify_image
+from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
+from elevator_rectify.core.view.warp import rectify_image
 from elevator_rectify.render.scene import Scene
 
 _CONFIG = Config()

@@ -10,10 +10,10 @@ import numpy as np
 
 from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation
 from elevator_rectify.core.config import Config, with_values
-from elevator_rectify.core.motion import rotation_angle_rad
+from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, GridFit
-from elevator_rectify.evaluate import cells_right
+from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene
 

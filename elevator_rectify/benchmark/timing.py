@@ -11,7 +11,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.core.attempts import best_attempt
 from elevator_rectify.core.config import Config, with_values
 from elevator_rectify.core.detections import usable_detections
-from elevator_rectify.core.measured import measure
+from elevator_rectify.core.picture.measured import measure
 from elevator_rectify.core.pipeline import fit_panel, sigma_px
 from elevator_rectify.render.levels import LEVELS, closest, random_view
 from elevator_rectify.render.looks import dressed, random_taking

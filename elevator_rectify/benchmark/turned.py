@@ -14,12 +14,12 @@ import numpy as np
 
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.real import boxes_to_detections, centred_camera, edge_deviations_deg, rectifying_map
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
-from elevator_rectify.core.motion import rotation, rotation_angle_rad
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.paper.motion import rotation, rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, Image
-from elevator_rectify.make_bag import ASSUMED_FOCAL
+from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
 
 _CONFIG = Config()
 _LARGEST_TURN_RAD = np.deg2rad(15.0)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config, HypothesesConfig
 from elevator_rectify.core.detections import Usable
-from elevator_rectify.core.joint import JointFit, fit_joint, track_joint, turned
-from elevator_rectify.core.lattice_fit import rotations
-from elevator_rectify.core.picture_fit import with_picture
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
+from elevator_rectify.core.lattice.refinement import rotations
+from elevator_rectify.core.picture.fit import with_picture
 from elevator_rectify.core.result import joint_fit, layout_of
 from elevator_rectify.core.types import Array, GridFit, Image
 

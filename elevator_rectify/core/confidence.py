@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from elevator_rectify.core.config import AcceptConfig
-from elevator_rectify.core.layout import LayoutFit
+from elevator_rectify.core.lattice.layout import LayoutFit
 from elevator_rectify.core.types import Array, GridFit
 
 # Written by `python3 -m elevator_rectify calibrate`.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import InputConfig
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, Detection, IntArray
 
 # A button at the border may be detected this far beyond it, in image sizes.

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.attempts import best_attempt, tracked
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
-from elevator_rectify.core.few_result import few_fit
-from elevator_rectify.core.paper import fit_paper
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.outline.result import few_fit
+from elevator_rectify.core.paper.rounds import fit_paper
 from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, GridFit, Image
 

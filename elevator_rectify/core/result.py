@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.confidence import (
     COEFFICIENTS,
     Evidence,
@@ -18,11 +17,17 @@ from elevator_rectify.core.confidence import (
 )
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
-from elevator_rectify.core.joint import JointFit
-from elevator_rectify.core.lattice_fit import ANNEALING, Poses
-from elevator_rectify.core.layout import Layout, LayoutFit, pose_at
-from elevator_rectify.core.paper import PaperFit
-from elevator_rectify.core.pose import LatticePose, pose_covariance, pose_from_homography, scale_pose_covariance
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.pose import (
+    LatticePose,
+    pose_covariance,
+    pose_from_homography,
+    scale_pose_covariance,
+)
+from elevator_rectify.core.lattice.joint import JointFit
+from elevator_rectify.core.lattice.layout import Layout, LayoutFit, pose_at
+from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
+from elevator_rectify.core.paper.rounds import PaperFit
 from elevator_rectify.core.types import Array, GridFit, IntArray
 
 # A lattice of a finer pitch than so many standard deviations of the detections is near to every point.

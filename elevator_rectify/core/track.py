@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
 from elevator_rectify.core.config import SmoothingConfig
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, GridFit
 
 # 99.9 % of a chi-squared variable of six degrees of freedom: what lies beyond is a jump, not noise.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from elevator_rectify.core.camera import Camera
-    from elevator_rectify.core.reading import Reading
+    from elevator_rectify.core.geometry.camera import Camera
+    from elevator_rectify.core.reading.panel import Reading
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -142,14 +142,14 @@ class GridFit:
     @cached_property
     def buttons(self) -> tuple[Button, ...]:
         """Return the grid's places, row by row, then the buttons beside it; none where the pose may not be used."""
-        from elevator_rectify.core.buttons import buttons_of
+        from elevator_rectify.core.reading.buttons import buttons_of
 
         return buttons_of(self)
 
     @cached_property
     def reading(self) -> Reading:
         """Return what the panel's labels and layout say of its places."""
-        from elevator_rectify.core.reading import read_panel
+        from elevator_rectify.core.reading.panel import read_panel
 
         return read_panel(self)
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from elevator_rectify.core import fit_panel
-from elevator_rectify.core.motion import rotation_angle_rad
+from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.live.acts import NOTHING, POSE, POSE_OR_SKIPPED, REFUSED, Script
 from elevator_rectify.live.driver import Driver, driven
 from elevator_rectify.live.frames import Frames
 from elevator_rectify.progress import progress
-from elevator_rectify.report import pose_of_message
+from elevator_rectify.recordings.report import pose_of_message
 
 _N = "/elevator_rectify/"
 _LISTEN = {

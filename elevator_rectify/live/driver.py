@@ -14,7 +14,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from elevator_rectify.demo import dds_environment, running
+from elevator_rectify.live.demo import dds_environment, running
 from elevator_rectify.ros.convert import output_stamp_ns
 from elevator_rectify.ros.messages import ros_type
 

@@ -10,10 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from elevator_rectify.bag import read_bag
-from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, Image
-from elevator_rectify.replay import find_topics
+from elevator_rectify.recordings.replay import find_topics
+from elevator_rectify.ros.bag import read_bag
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message
 from elevator_rectify.ros.messages import make_ros
 from elevator_rectify.ros.output import camera_info_message, image_message

@@ -11,12 +11,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from elevator_rectify.bag import BagWriter, bag_writer, make_bag_message
 from elevator_rectify.core.types import Array, Image
 from elevator_rectify.progress import progress
 from elevator_rectify.render.panel import Panel, paper_panels
 from elevator_rectify.render.photograph import photograph
 from elevator_rectify.render.scene import DetectorModel, Scene, Viewpoint, make_scene, paper_camera
+from elevator_rectify.ros.bag import BagWriter, bag_writer, make_bag_message
 from elevator_rectify.ros.output import camera_info_message
 from elevator_rectify.ros.poses import quaternion
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array
 from elevator_rectify.render.panel import PITCH_M, Button, Look, Panel, framed
 from elevator_rectify.render.scene import DetectorModel, Scene, Viewpoint, make_scene, paper_camera

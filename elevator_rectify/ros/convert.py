@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Detection
 from elevator_rectify.ros.config import DEFAULT_NODE, DetectionsConfig
 from elevator_rectify.ros.pictures import BadMessage

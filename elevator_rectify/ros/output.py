@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from elevator_rectify.core.camera import Camera
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, GridFit, Image
 from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.buttons import buttons_message, pressing_pose_message

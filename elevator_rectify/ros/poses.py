@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from elevator_rectify.core.pose import covariance_at
+from elevator_rectify.core.geometry.pose import covariance_at
 from elevator_rectify.core.types import Array, GridFit
 from elevator_rectify.ros.messages import Make
 

@@ -1,0 +1,1 @@
+"""Programs that refit the coefficients of confidences and of filled cells."""

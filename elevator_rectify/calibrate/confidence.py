@@ -1,0 +1,193 @@
+"""Fits the confidence's logistic models on generated scenes and writes core/confidence.json, with --pictures
+core/picture/confidence.json, with --outlines core/outline/confidence.json."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from elevator_rectify.benchmark.negatives import KINDS
+from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
+from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
+from elevator_rectify.calibrate import filled
+from elevator_rectify.calibrate.logistic import logistic_regression
+from elevator_rectify.core import confidence
+from elevator_rectify.core.attempts import attempts, best_attempt
+from elevator_rectify.core.confidence import expanded, features
+from elevator_rectify.core.config import Config
+from elevator_rectify.core.detections import Usable, usable_detections
+from elevator_rectify.core.outline import pose as outline_pose
+from elevator_rectify.core.outline import result as outline_result
+from elevator_rectify.core.picture import fit as picture_fit
+from elevator_rectify.core.pipeline import sigma_px
+from elevator_rectify.core.types import Array, Detection
+from elevator_rectify.render.levels import LEVELS, random_scene
+from elevator_rectify.render.scene import Scene, paper_camera
+
+# Of standardised features, an example.
+_RIDGE = 0.0006
+# Few pictures in a robot's life are as bad as the worst level.
+_WEIGHTS = {"extreme": 0.5}
+_LEVELS = ("easy", "medium", "hard", "extreme", "gaps", *4 * ["wild"])
+_PICTURE_LEVELS = ("easy", "medium", "hard", "hard", "hard", "gaps", *5 * ["wild"], "swapped")
+# Pictures spoilt in these ways, of panels of the level hard.
+_SPOILT = ("blurred", "noisy", "hand", "overexposed", "shifted")
+# With pictures, a rotation further off than this is wrong.
+_RIGHT_DEG = 2.0
+_RIGHT_OUTLINE_DEG = 4.0
+_FEW = tuple(f"{shape} {number}" for shape in ("round", "square") for number in range(1, 6))
+_CONFIG = Config()
+
+
+@dataclass(frozen=True)
+class Example:
+    """Features of a fit, and whether it was right; squared length of the rotation's error in its own covariance."""
+
+    x: Array
+    right: bool
+    mahalanobis2: float
+    weight: float
+
+
+def examples(task: tuple[str, int, int]) -> list[Example]:
+    """Return the example of one draw: (level or kind of negative, seed, number)."""
+    kind, seed, number = task
+    camera, scene = paper_camera(), None
+    if kind in KINDS:
+        points = KINDS[kind](np.random.default_rng([seed, number, 99]))
+    else:
+        scene = random_scene(LEVELS[kind], seed, number)
+        points = scene.centres_px
+    usable = usable_detections(points, camera, _CONFIG.input)
+    if len(usable.index) < _CONFIG.input.min_detections:
+        return []
+    sigma = sigma_px(usable, camera, _CONFIG) / camera.focal_px
+    best = best_attempt(usable, camera, sigma, _CONFIG)
+    if best.fit is None or not np.isfinite(best.result.covariance).all():
+        return []
+    x = features(best.fit.best, best.fit.margin, sigma, best.result)
+    weight = _WEIGHTS.get(kind, 1.0)
+    if scene is None:
+        return [Example(x, False, float("nan"), weight)]
+    trial = judged(scene, best.result, 0.0)
+    return [Example(x, trial.right and trial.cells >= RIGHT_CELLS, trial.mahalanobis2, weight)]
+
+
+def picture_examples(task: tuple[str, int, int]) -> list[Example]:
+    """Return the examples of one picture: every search's fit, right or wrong.
+
+    'swapped' shows the detections of one scene in the picture of another; negatives are shown in any picture; others
+    are spoilt pictures.
+    """
+    kind, seed, number = task
+    given = pictured(kind if kind in LEVELS else "hard" if kind in _SPOILT else "medium", seed, number)
+    if kind in _SPOILT:
+        given = replace(given, image=SPOILT[kind](given.image, np.random.default_rng([seed, number])))
+    scene: Scene | None = given.scene
+    detections: Sequence[Detection] = given.scene.detections
+    if kind == "swapped":
+        scene = pictured("medium", seed, number + 1_000_000, picture=False).scene
+        detections = scene.detections
+    elif kind in KINDS:
+        points, size = KINDS[kind](np.random.default_rng([seed, number, 99])), given.scene.detections[0].width_px
+        scene, detections = None, [Detection(float(x), float(y), size, size) for x, y in points]
+    usable = usable_detections(detections, given.scene.camera, _CONFIG.input)
+    if len(usable.index) < _CONFIG.input.min_detections:
+        return []
+    return _searched(given, scene, usable, _WEIGHTS.get(kind, 1.0))
+
+
+def _searched(given: Pictured, scene: Scene | None, usable: Usable, weight: float) -> list[Example]:
+    """Return an example of every search that finds a fit, and another pose of it."""
+    camera = given.scene.camera
+    sigma = sigma_px(usable, camera, _CONFIG) / camera.focal_px
+    found = []
+    for attempt in attempts(usable, camera, sigma, _CONFIG):
+        if attempt.fit is None or not np.isfinite(attempt.result.covariance).all():
+            continue
+        fit = picture_fit.picture_fit(attempt.fit, attempt.result, usable, camera, sigma, given.image, _CONFIG)
+        if fit is None or not np.isfinite(fit.result.covariance).all():
+            continue
+        x, right, d2 = picture_fit.picture_features(fit, attempt.result, usable, sigma), False, float("nan")
+        if scene is not None:
+            trial = judged(scene, fit.result, 0.0)
+            right, d2 = trial.error_deg <= _RIGHT_DEG and trial.cells >= RIGHT_CELLS, trial.mahalanobis2
+        found.append(Example(x, right, d2, weight))
+        if right and attempt.result.ok:
+            break
+    return [Example(e.x, e.right, e.mahalanobis2, e.weight / len(found)) for e in found]
+
+
+def outline_examples(task: tuple[str, int, int]) -> list[Example]:
+    """Return the example of a panel of few buttons: ('round 2', seed, number)."""
+    kind, seed, number = task
+    shape, buttons = kind.split()
+    scene, image = few_pictured(shape, int(buttons), seed, number)
+    boxes = np.array([[d.x_px, d.y_px, d.width_px, d.height_px] for d in scene.detections])
+    found = outline_pose.fit_few(boxes, image, scene.camera, _CONFIG)
+    if found is None:
+        return []
+    error = np.arccos(np.clip(found.best.model.R[:, 2] @ scene.R_camera_panel[:, 2], -1.0, 1.0))
+    right = bool(np.rad2deg(error) <= _RIGHT_OUTLINE_DEG)
+    return [Example(outline_result.few_features(found), right, float("nan"), 1.0)]
+
+
+def write_model(found: list[Example], names: tuple[str, ...], path: Path) -> None:
+    """Fit the model, write it, print how well it tells right from wrong."""
+    X, y = np.array([e.x for e in found]), np.array([float(e.right) for e in found])
+    mean, std = X.mean(axis=0), np.maximum(X.std(axis=0), 1e-6)
+    Z = expanded(X, mean, std)
+    beta = logistic_regression(Z, y, np.array([e.weight for e in found]), _RIDGE * len(y))
+    table = {
+        "features": {n: [round(float(m), 5), round(float(d), 6)] for n, m, d in zip(names, mean, std, strict=True)},
+        "coefficients": [round(float(b), 5) for b in beta],
+    }
+    path.write_text(json.dumps(table, indent=2) + "\n")
+    p = 1.0 / (1.0 + np.exp(-Z @ beta))
+    print(f"{len(y)} fits, {y.mean():.3f} right")
+    for limit in (0.5, 0.8, 0.9, 0.95, 0.98):
+        right, wrong = np.mean(p[y == 1] > limit), np.mean(p[y == 0] > limit)
+        print(f"above {limit}: {right:.3f} of the right, {wrong:.4f} of the wrong")
+    d2 = np.array([e.mahalanobis2 for e in found if e.right])
+    print(f"rotation: mean d2 / 3 = {np.mean(np.minimum(d2, 30)) / 3:.3f}, inside 95 %: {np.mean(d2 < 7.815):.3f}")
+    print(f"wrote {path}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line: regenerate the coefficients."""
+    parser = argparse.ArgumentParser(prog="calibrate", description=__doc__)
+    parser.add_argument("--pictures", action="store_true", help="the confidence of fits to pictures")
+    parser.add_argument(
+        "--trials", type=int, default=0, help="scenes a level; by default 700, with pictures or outlines 200"
+    )
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--outlines", action="store_true", help="the confidence of fits to the outlines of few buttons")
+    parser.add_argument("--buttons", action="store_true", help="which empty cells hold a missed button (real panels)")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
+    options = parser.parse_args(arguments)
+    if options.buttons:
+        return filled.main(options.data, options.seed)
+    function, kinds, usual = examples, (*_LEVELS, *KINDS), 700
+    names: tuple[str, ...] = confidence.FEATURES
+    path = confidence.COEFFICIENTS
+    if options.pictures:
+        function, kinds, usual = picture_examples, (*_PICTURE_LEVELS, *_SPOILT, *KINDS), 200
+        names, path = picture_fit.FEATURES, picture_fit.COEFFICIENTS
+    if options.outlines:
+        function, kinds, usual = outline_examples, _FEW, 200
+        names, path = outline_result.FEATURES, outline_result.COEFFICIENTS
+    tasks = [(kind, options.seed + k, n) for k, kind in enumerate(kinds) for n in range(options.trials or usual)]
+    found = [e for several in parallel(function, tasks, "calibrating") for e in several]
+    write_model(found, names, path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""The metric scale from an aligned depth image: one picture of a grid gives lengths in pitches only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from elevator_rectify.core.config import ScaleConfig
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.pose import scale_pose_covariance
+from elevator_rectify.core.types import Array, GridFit
+
+# Places across the grid, per axis, at which the depth is read.
+_PLACES = 24
+_FEWEST = 24
+# Depth cameras are off by about this share; caps stand out from the plate as much.
+_SYSTEMATIC_SHARE = 0.01
+_WIDEST_SPREAD = 0.1
+_DISAGREEMENT_STDS = 4.0
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Metres per unit of a fit, with its standard deviation; NaN and the reason where it is not known."""
+
+    metres: float
+    std: float
+    reason: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Tell whether there is a scale."""
+        return bool(np.isfinite(self.metres))
+
+
+def scale_from_depth(fit: GridFit, camera: Camera, depth_m: Array) -> Scale:
+    """Return how many metres one unit of the fit is, by an aligned depth image (height, width), NaN where it has holes.
+
+    The depth over the plane's own is the scale, at every place; the median resists holes, caps and a hand before them.
+    """
+    if depth_m.shape != (camera.height, camera.width):
+        size = f"{depth_m.shape[1]} x {depth_m.shape[0]}"
+        return _unknown(f"the depth image is {size}, not aligned to the image's {camera.width} x {camera.height}")
+    low, high = fit.grid_panel.reshape(-1, 2).min(axis=0), fit.grid_panel.reshape(-1, 2).max(axis=0)
+    share = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, _PLACES)] * 2), axis=-1).reshape(-1, 2)
+    points = (low + share * (high - low)) @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+    pixels = np.nan_to_num(camera.project(points), nan=-1.0).round().astype(int)
+    inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1) & (points[:, 2] > 0)
+    ratios = depth_m[pixels[inside, 1], pixels[inside, 0]] / points[inside, 2]
+    ratios = ratios[np.isfinite(ratios)]
+    if len(ratios) < _FEWEST:
+        return _unknown(f"the depth image has {len(ratios)} readings on the panel, {_FEWEST} needed")
+    metres = float(np.median(ratios))
+    spread = 1.4826 * float(np.median(np.abs(ratios - metres))) / metres
+    if spread > _WIDEST_SPREAD:
+        return _unknown(f"the depth image does not show the fitted plane: it deviates by {spread:.0%}")
+    return Scale(metres, metres * float(np.hypot(_SYSTEMATIC_SHARE, spread / np.sqrt(len(ratios)))))
+
+
+def _unknown(reason: str) -> Scale:
+    return Scale(float("nan"), float("nan"), reason)
+
+
+def with_scale(fit: GridFit, camera: Camera, depth_m: Array, config: ScaleConfig) -> tuple[GridFit, str]:
+    """Return the fit (in pitches) with a metric scale, and where that is from: depth, column pitch or both.
+
+    Where the two contradict each other, the scale is unknown, and the text says why.
+    """
+    depth = scale_from_depth(fit, camera, depth_m)
+    pitch, pitch_std = config.column_pitch_m, max(config.column_pitch_std_m, 1e-9)
+    if pitch <= 0:
+        if depth.known:
+            return scaled(fit, depth.metres, depth.std), "depth"
+        return fit, f"unknown: {depth.reason}"
+    if not depth.known:
+        return scaled(fit, pitch, pitch_std), f"column pitch: {depth.reason}"
+    if abs(depth.metres - pitch) > _DISAGREEMENT_STDS * float(np.hypot(depth.std, pitch_std)):
+        return fit, f"unknown: the column pitch is {depth.metres:.4f} m by the depth, {pitch:.4f} m by the parameter"
+    weights = np.array([depth.std, pitch_std]) ** -2.0
+    metres = float(weights @ [depth.metres, pitch] / weights.sum())
+    return scaled(fit, metres, float(weights.sum() ** -0.5)), "column pitch and depth"
+
+
+def scaled(fit: GridFit, metres: float, std: float) -> GridFit:
+    """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
+    seen = fit.measurement
+    return replace(
+        fit,
+        measurement=None if seen is None else replace(seen, half_size=seen.half_size * metres),
+        metric=True,
+        t_camera_panel=fit.t_camera_panel * metres,
+        pitch=fit.pitch * metres,
+        covariance=scale_pose_covariance(fit.covariance, fit.t_camera_panel, metres, std),
+        grid_panel=fit.grid_panel * metres,
+        grid_points=fit.grid_points * metres,
+    )

@@ -1,0 +1,1 @@
+"""The lattice of buttons and the pose, fitted together to the detections."""

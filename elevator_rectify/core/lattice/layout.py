@@ -1,0 +1,182 @@
+"""Panels as they are: rows and columns at free distances, half-pitch rows, and the pose fitted with them.
+
+A layout places node (r, c) at (columns[c] + half if row r is staggered, rows[r] + half if column c is staggered).
+A break before row r says that its distance to row r - 1 is no whole or half pitch and is estimated; all rows behind
+it move along. The same for columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from elevator_rectify.core.config import JointConfig
+from elevator_rectify.core.geometry.pose import LatticePose, cross_matrix
+from elevator_rectify.core.lattice.refinement import (
+    Poses,
+    estimated_sigma,
+    jacobians,
+    log_prior,
+    mixture_likelihood,
+    projected,
+    stepped,
+)
+from elevator_rectify.core.types import Array, IntArray
+
+_STEPS = 5
+# A step of less, in pitches and radians, is far below any noise; Gauss-Newton's next one would be its square.
+_SETTLED = 3e-4
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Positions (R,), (C,) in pitches, staggered (R,), (C,) as 0 or 1, and the indices before which a break is."""
+
+    rows: Array
+    columns: Array
+    row_stagger: Array
+    column_stagger: Array
+    row_breaks: tuple[int, ...] = ()
+    column_breaks: tuple[int, ...] = ()
+
+    @property
+    def nodes(self) -> Array:
+        """Return lattice coordinates (R, C, 2) = (column, row)."""
+        u = self.columns[None, :] + 0.5 * self.row_stagger[:, None]
+        v = self.rows[:, None] + 0.5 * self.column_stagger[None, :]
+        return np.stack(np.broadcast_arrays(u, v), axis=-1)
+
+    @property
+    def cells(self) -> float:
+        """Return how many cells the layout has; a staggered line has one less."""
+        return max(1.0, float(len(self.rows) * len(self.columns) - self.row_stagger.sum() - self.column_stagger.sum()))
+
+    @property
+    def transposed(self) -> Layout:
+        """Return the layout with rows and columns exchanged."""
+        return Layout(
+            self.columns, self.rows, self.column_stagger, self.row_stagger, self.column_breaks, self.row_breaks
+        )
+
+
+@dataclass(frozen=True)
+class LayoutFit:
+    """A pose (batch of one) with its layout; node (N,) index of each detection's nearest node, inlier (N,) in 0..1."""
+
+    pose: Poses
+    layout: Layout
+    node: IntArray
+    inlier: Array
+    sigma: float
+    log_likelihood: float
+
+    @property
+    def cells(self) -> IntArray:
+        """Return (N, 2) row and column of each detection, -1 for outliers."""
+        row, column = np.divmod(self.node, len(self.layout.columns))
+        return np.where(self.inlier[:, None] > 0.5, np.column_stack([row, column]), -1)
+
+
+def regular_layout(cells: Array, inlier: Array, brick: bool = False) -> Layout:
+    """Return the box of the inliers' cells (N, 2) = (column, row); in a brick layout odd rows are staggered."""
+    on = cells[inlier > 0.5]
+    low, high = np.floor(on.min(axis=0)), np.floor(on.max(axis=0))
+    columns, rows = (np.arange(low[k], high[k] + 1.0) for k in (0, 1))
+    return Layout(rows, columns, rows % 2.0 if brick else np.zeros(len(rows)), np.zeros(len(columns)))
+
+
+def penalty(layout: Layout, config: JointConfig) -> float:
+    """Return what breaks and staggered lines cost, in nats."""
+    breaks = len(layout.row_breaks) + len(layout.column_breaks)
+    return config.gap_nats * breaks + config.stagger_nats * float(
+        layout.row_stagger.sum() + layout.column_stagger.sum()
+    )
+
+
+def evaluate(pose: Poses, layout: Layout, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
+    """Return what pose and layout explain, with the standard deviation that they leave."""
+    nodes = projected(pose, layout.nodes.reshape(1, -1, 2))[0][0]
+    distance2 = ((rays[:, None] - nodes[None]) ** 2).sum(axis=-1)
+    node = distance2.argmin(axis=1)
+    error2, number = distance2[np.arange(len(rays)), node][None], np.array([layout.cells])
+    inlier = mixture_likelihood(error2, number, sigma, area, config)[1]
+    own = estimated_sigma(error2, inlier, sigma)
+    likelihood, inlier = mixture_likelihood(error2, number, own, area, config)
+    prior = float(log_prior(pose, config)[0])
+    empty = max(0.0, layout.cells - float(inlier.sum()))
+    total = float(likelihood[0]) + prior - penalty(layout, config) - config.empty_nats * empty
+    return LayoutFit(pose, layout, node, inlier[0], float(own[0]), total)
+
+
+def design(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
+    """Return error (N, 2), Jacobian (N, 2, 7 + breaks) and d/d(u, v) (N, 2, 2) at each detection's node."""
+    at = fit.layout.nodes.reshape(-1, 2)[fit.node]
+    x, J, d_uv = jacobians(fit.pose, at[None])
+    row, column = np.divmod(fit.node, len(fit.layout.columns))
+    extra = [d_uv[0, :, :, 1] * (row >= b)[:, None] for b in fit.layout.row_breaks]
+    extra += [d_uv[0, :, :, 0] * (column >= b)[:, None] for b in fit.layout.column_breaks]
+    return rays - x[0], np.concatenate([J[0], *[e[..., None] for e in extra]], axis=-1), d_uv[0]
+
+
+def information(J: Array, weights: Array, sigma: float, config: JointConfig) -> Array:
+    """Return J' W J / sigma^2 with the aspect's prior."""
+    flat = J.reshape(-1, J.shape[-1])
+    normal = (flat * np.repeat(weights, 2)[:, None] / sigma**2).T @ flat
+    normal[6, 6] += 1.0 / config.log_aspect_std**2
+    return np.asarray(normal)
+
+
+def refine_layout(
+    fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig, steps: int = _STEPS
+) -> LayoutFit:
+    """Alternate responsibilities and Gauss-Newton steps on pose and breaks."""
+    for _ in range(steps):
+        error, J, _ = design(fit, rays)
+        normal = information(J, fit.inlier, fit.sigma, config)
+        gradient = np.einsum("nij,ni,n->j", J, error, fit.inlier) / fit.sigma**2
+        gradient[6] -= fit.pose.log_aspect[0] / config.log_aspect_std**2
+        step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
+        fit = evaluate(stepped(fit.pose, step[None, :7]), moved(fit.layout, step[7:]), rays, sigma, area, config)
+        if np.abs(step).max() < _SETTLED:
+            break
+    return fit
+
+
+def moved(layout: Layout, steps: Array) -> Layout:
+    """Move the lines behind each break."""
+    rows, columns = layout.rows.copy(), layout.columns.copy()
+    bounded = np.clip(steps, -0.3, 0.3)
+    for index, step in zip(layout.row_breaks, bounded, strict=False):
+        rows[index:] += step
+    for index, step in zip(layout.column_breaks, bounded[len(layout.row_breaks) :], strict=True):
+        columns[index:] += step
+    return replace(layout, rows=rows, columns=columns)
+
+
+def pose_at(
+    fit: LayoutFit, rays: Array, node: Array, config: JointConfig, weights: Array | None = None
+) -> tuple[LatticePose, Array]:
+    """Return the pose with its origin at a lattice point (2,), and the covariance (6, 6) of (t, rotation) there.
+
+    rays: (N, 2) of what the fit's nodes were fitted to; weights: (N, 2, 2) the information of each, by default that of
+    detections. Aspect and breaks are unknown too and marginalised; `node` must lie before every break. An error of the
+    focal length scales all rays; its part is the fit's linear response to that.
+    """
+    _, J, _ = design(fit, rays)
+    if weights is None:
+        weights = (fit.inlier / fit.sigma**2)[:, None, None] * np.eye(2)
+    weighted = np.swapaxes(J, 1, 2) @ weights
+    normal = (weighted @ J).sum(axis=0) + 1e-9 * np.eye(J.shape[-1])
+    normal[6, 6] += 1.0 / config.log_aspect_std**2
+    inverse = np.linalg.inv(normal)
+    response = config.focal_std_share * (inverse @ (weighted @ rays[..., None]).sum(axis=0)[:, 0])
+    inverse = inverse + np.outer(response, response)
+    R, aspect = fit.pose.R[0], float(np.exp(fit.pose.log_aspect[0]))
+    offset = (np.asarray(node) - fit.pose.centre[0]) * np.array([1.0, aspect])
+    arm = R[:, :2] @ offset
+    T = np.zeros((6, J.shape[-1]))
+    T[:, :6] = np.eye(6)
+    T[:3, 3:6] = -cross_matrix(arm)
+    T[:3, 6] = R[:, 1] * offset[1]
+    return LatticePose(R, fit.pose.t[0] + arm, aspect), np.asarray(T @ inverse @ T.T)

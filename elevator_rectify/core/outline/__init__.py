@@ -1,0 +1,1 @@
+"""One to five buttons, single rows and columns: the pose from outlines."""

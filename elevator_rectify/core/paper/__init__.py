@@ -1,0 +1,1 @@
+"""The publication's method, by itself."""

@@ -1,0 +1,1 @@
+"""The buttons measured in the picture."""

@@ -1,0 +1,238 @@
+"""The picture's say: it sharpens the fit to the boxes, settles what they leave open, or refuses it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from elevator_rectify.core.confidence import logistic_confidence, rotation_std_rad
+from elevator_rectify.core.config import Config
+from elevator_rectify.core.detections import Usable
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.lattice.joint import JointFit
+from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, pose_at
+from elevator_rectify.core.lattice.refinement import jacobians, projected
+from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.picture.measured import STAGES, MeasuredFit, measure
+from elevator_rectify.core.picture.straight_edges import segments_of, sharpened
+from elevator_rectify.core.picture.widening import widened
+from elevator_rectify.core.result import judged, layout_result
+from elevator_rectify.core.track import posed
+from elevator_rectify.core.types import Array, GridFit, Image, Measurement
+
+# Written by `python3 -m elevator_rectify calibrate --pictures`.
+COEFFICIENTS = Path(__file__).with_name("confidence.json")
+FEATURES = (
+    "ln seen",
+    "seen share",
+    "inlier share",
+    "filled share",
+    "median correlation",
+    "least correlation",
+    "ln residual",
+    "ln rotation std",
+    "turned over std",
+    "boxes' logit",
+    "margin",
+    "tilt",
+    "two lines",
+    "few seen",
+    "free lines a button",
+    "ln boxes' distance over std",
+    "ln boxes' common distance over std",
+)
+# Poses with a margin below are all measured.
+_COMPARED_NATS = 10.0
+_TRACKED_STAGES = STAGES[1:]
+_MARGIN_NATS = 15.0
+# A detection whose centre is so near to a button's, in half sizes, is of that button.
+_ON_BUTTON = 0.9
+
+
+@dataclass(frozen=True)
+class PictureFit:
+    """The best fit to the picture, as measured and as a result; the other pose's result, where there is one, and the
+    margin between them in nats."""
+
+    measured: MeasuredFit
+    result: GridFit
+    other: GridFit | None
+    margin: float
+
+
+def with_picture(
+    fit: JointFit,
+    boxes: GridFit,
+    usable: Usable,
+    camera: Camera,
+    sigma: float,
+    image: Image,
+    config: Config,
+    tracked: bool = False,
+) -> GridFit:
+    """Return the fit to the picture; `boxes`, the fit to the detections, where the picture does not show the buttons.
+
+    sigma: of the detections in normalised units; tracked: the fit follows one that was measured, and needs less.
+    """
+    found = picture_fit(fit, boxes, usable, camera, sigma, image, config, tracked)
+    if found is None:
+        return boxes
+    score = logistic_confidence(picture_features(found, boxes, usable, sigma), COEFFICIENTS)
+    result = replace(found.result, confidence=score, margin_nats=found.margin)
+    if found.other is not None and max(found.margin, fit.margin) < config.joint.ambiguity_nats:
+        reason = f"two poses explain the picture, {found.margin:.2g} nats apart"
+        return replace(result, status="ambiguous", reason=reason, alternatives=(found.other,))
+    return judged(replace(result, alternatives=()), found.measured.fit, camera, config)
+
+
+def picture_fit(
+    fit: JointFit,
+    boxes: GridFit,
+    usable: Usable,
+    camera: Camera,
+    sigma: float,
+    image: Image,
+    config: Config,
+    tracked: bool = False,
+) -> PictureFit | None:
+    """Return the fit to the picture, None where it does not show enough of the buttons."""
+    candidates = [fit.best] + ([fit.other] if fit.other is not None and fit.margin < _COMPARED_NATS else [])
+    stages = _TRACKED_STAGES if tracked else STAGES
+    found = [measure(c, usable.rays, usable.sizes_px, sigma, image, camera, config, stages) for c in candidates]
+    measured = sorted((m for m in found if m is not None and _shown(m, config)), key=_misfit)
+    if not measured:
+        return None
+    results = [_result(m if tracked else widened(m, config), boxes, usable, camera, sigma, config) for m in measured]
+    if config.measurement.edges:
+        results = [_with_edges(r, image, camera) for r in results]
+    margin = _misfit(measured[1]) - _misfit(measured[0]) if len(measured) > 1 else np.inf
+    return PictureFit(measured[0], results[0], results[1] if len(results) > 1 else None, float(margin))
+
+
+def _shown(measured: MeasuredFit, config: Config) -> bool:
+    """Tell whether the picture shows enough of the detected buttons."""
+    return float(measured.places.seen[measured.places.detected].mean()) >= config.measurement.min_seen_share
+
+
+def _misfit(measured: MeasuredFit) -> float:
+    """Return the negative log likelihood of the seen places, by their own residual."""
+    seen = float(measured.places.seen.sum())
+    return 2.0 * seen * float(np.log(max(measured.residual, 1e-4))) - 5.0 * seen
+
+
+def _result(
+    measured: MeasuredFit, boxes: GridFit, usable: Usable, camera: Camera, sigma: float, config: Config
+) -> GridFit:
+    """Return pose, covariance, grid and measurement."""
+    fit, joint = measured.fit, config.joint
+    origin = fit.layout.nodes[0, 0]
+    pose, covariance = pose_at(fit, measured.rays, origin, joint, measured.information)
+    covariance = covariance * config.measurement.covariance_scale
+    area = camera.width * camera.height / camera.focal_px**2
+    explained = _with_overlapping(evaluate(fit.pose, fit.layout, usable.rays, sigma, area, joint), usable, measured)
+    result = layout_result(explained, pose, covariance, boxes, usable, camera, config)
+    return replace(result, measurement=_measurement(measured, float(result.pitch[0]), camera))
+
+
+def _with_edges(fit: GridFit, image: Image, camera: Camera) -> GridFit:
+    """Return the fit turned about its grid's centre as the straight edges that agree with it say."""
+    steps = np.linalg.norm(np.diff(fit.grid_px, axis=0), axis=-1)
+    segments = segments_of(image, camera, float(np.median(steps)))
+    if not len(segments.normal):
+        return fit
+    R, covariance = sharpened(fit.R_camera_panel, fit.covariance[3:, 3:], segments)
+    centre = fit.grid_panel.mean(axis=(0, 1))
+    t = fit.t_camera_panel + (fit.R_camera_panel - R)[:, :2] @ centre
+    whole = fit.covariance.copy()
+    whole[3:, 3:] = covariance
+    # What t owes to the rotation shrinks with it.
+    share = np.linalg.solve(fit.covariance[3:, 3:], fit.covariance[3:, :3]).T
+    whole[:3, 3:] = share @ covariance
+    whole[3:, :3] = whole[:3, 3:].T
+    whole[:3, :3] -= share @ (fit.covariance[3:, 3:] - covariance) @ share.T
+    return replace(posed(fit, R, t, camera), covariance=whole)
+
+
+def _with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> LayoutFit:
+    """Return the fit with every detection an inlier that lies on a button which the picture shows, however inexact."""
+    lattice = fit.layout.nodes.reshape(-1, 2)[fit.node]
+    predicted, _, d_uv = jacobians(fit.pose, lattice[None])
+    off = np.linalg.solve(d_uv[0], (usable.rays - predicted[0])[..., None])[..., 0] / measured.half
+    shown = np.isin(fit.node, measured.places.node[measured.places.seen])
+    on = shown & (np.hypot(*off.T) < _ON_BUTTON)
+    return replace(fit, inlier=np.where(on, 1.0, fit.inlier))
+
+
+def _measurement(measured: MeasuredFit, unit: float, camera: Camera) -> Measurement:
+    """Return what is seen, by cell."""
+    fit, places = measured.fit, measured.places
+    rows, columns = fit.layout.nodes.shape[:2]
+    seen, node = places.seen, places.node[places.seen]
+    at = (fit.layout.nodes.reshape(-1, 2)[places.node] + places.offset)[seen]
+    d_px = jacobians(fit.pose, at[None])[2][0] * camera.focal_px
+    centre, covariance = np.full((rows * columns, 2), np.nan), np.full((rows * columns, 2, 2), np.nan)
+    correlation = np.full(rows * columns, np.nan)
+    centre[node] = camera.pixels(projected(fit.pose, at[None])[0][0])
+    covariance[node] = d_px @ places.covariance[seen] @ np.swapaxes(d_px, 1, 2)
+    correlation[node] = places.correlation[seen]
+    metric = np.array([1.0, float(np.exp(fit.pose.log_aspect[0]))]) * unit
+    return Measurement(
+        centre.reshape(rows, columns, 2),
+        covariance.reshape(rows, columns, 2, 2),
+        correlation.reshape(rows, columns),
+        measured.half * metric,
+        measured.residual,
+        measured.scatter,
+    )
+
+
+def _boxes_apart(measured: MeasuredFit, usable: Usable, sigma: float) -> tuple[float, float]:
+    """Return ln of how far the boxes are from where the picture shows their buttons, each and all alike, over what the
+    detector's noise explains: a picture of another moment shows them elsewhere."""
+    places = measured.places
+    own = places.seen & places.detected
+    at = measured.rays[own]
+    distance = np.linalg.norm(usable.rays[:, None] - at[None], axis=-1)
+    nearest = distance.argmin(axis=0)
+    apart = (usable.rays[nearest] - at) / sigma
+    if not len(apart):
+        return 3.0, 3.0
+    each = float(np.sqrt(0.5 * (apart**2).sum(axis=1).mean()))
+    together = float(np.linalg.norm(apart.mean(axis=0)) * np.sqrt(0.5 * len(apart)))
+    return float(np.log(np.clip(each, 0.1, 20.0))), float(np.log(np.clip(together, 0.1, 20.0)))
+
+
+def picture_features(found: PictureFit, boxes: GridFit, usable: Usable, sigma: float) -> Array:
+    """Return what the confidence of a fit to the picture is computed from, in the order of FEATURES."""
+    measured, result = found.measured, found.result
+    places, layout = measured.places, measured.fit.layout
+    detected, seen = places.detected, places.seen
+    own = rotation_std_rad(boxes.covariance)
+    turned = rotation_angle_rad(boxes.R_camera_panel.T @ result.R_camera_panel)
+    correlation = places.correlation[detected]
+    free = len(layout.row_breaks) + len(layout.column_breaks) + layout.row_stagger.sum() + layout.column_stagger.sum()
+    number = float(seen.sum())
+    apart = _boxes_apart(measured, usable, sigma)
+    p = float(np.clip(boxes.confidence, 1e-3, 1.0 - 1e-3))
+    return np.array(
+        [
+            np.log(number),
+            seen[detected].mean(),
+            result.inliers / max(1, len(result.cells)),
+            len(places.node) / layout.cells,
+            np.median(correlation),
+            np.quantile(correlation, 0.15),
+            np.log(np.clip(measured.residual, 1e-3, 1.0)),
+            np.log(np.clip(rotation_std_rad(result.covariance), 1e-4, 3.0)),
+            min(turned / max(own, 1e-3), 10.0),
+            np.log(p / (1.0 - p)),
+            min(found.margin, _MARGIN_NATS) / _MARGIN_NATS,
+            np.arccos(min(1.0, abs(result.R_camera_panel[2, 2]))),
+            float(min(len(layout.rows), len(layout.columns)) == 2),
+            1.0 / max(number - 3.0, 1.0),
+            free / number,
+            *apart,
+        ]
+    )

@@ -1,0 +1,1 @@
+"""What the buttons are called, and which place holds one."""

@@ -1,0 +1,113 @@
+"""A panel read as a whole: which places hold a button, and the probability of every label at each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from elevator_rectify.core.reading.filled import missed
+from elevator_rectify.core.reading.misread import is_number, right_alone
+from elevator_rectify.core.reading.places import PanelPlaces, places_of
+from elevator_rectify.core.reading.sequence import Floors, floors_of
+from elevator_rectify.core.types import Array, BoolArray, GridFit
+
+# To the floors' order, a cell without a detection is as likely empty as not; `filled` knows panels better.
+_EVEN = 0.5
+# An empty cell where the picture was searched and showed nothing holds a button with the odds over this, however sure
+# the floors' order is: panels have blind cells too.
+_NOT_SHOWN, _MOST_SURE = 30.0, 0.97
+# A button shown by the picture alone is one with this probability, and so is a detection beside the grid.
+_SHOWN, _BESIDE = 0.99, 0.99
+# Where a detection lies across it, or beyond the end of a staggered line, there is no cell.
+_NO_CELL = 0.01
+_MOST_PLACES = 400
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Of K places: present (K,) the probability of a button; floors, None where no number is read; floor_nats (K,) the
+    log odds that their order gives for a floor at a place without a detection, beyond what was known."""
+
+    places: PanelPlaces
+    present: Array
+    floors: Floors | None
+    floor_nats: Array
+
+
+def read_panel(fit: GridFit) -> Reading:
+    """Return the reading of a fit that has a grid."""
+    places = places_of(fit)
+    filled, prior = places.filled, _prior(fit, places)
+    floors, nats = None, np.zeros(len(prior))
+    if any(is_number(text) for text in places.label) and len(places.label) <= _MOST_PLACES:
+        floors = floors_of(places, prior)
+        nats = _log_odds(1.0 - floors.other) - _log_odds(prior)
+    present = _present(fit, places, nats)
+    return Reading(places, present, None if floors is None else _scaled(floors, present, filled), nats)
+
+
+def _prior(fit: GridFit, places: PanelPlaces) -> Array:
+    """Return (K,) the probability of a button before the panel's layout and its floors are looked at."""
+    prior = np.where(places.taken | places.beyond, _NO_CELL, _EVEN)
+    if fit.measurement is not None:
+        prior = _not_shown(prior)
+    return np.where(places.filled, 1.0, prior)
+
+
+def _present(fit: GridFit, places: PanelPlaces, nats: Array) -> Array:
+    """Return (K,) the probability of a button, as the panel's layout and its floors' order say."""
+    present = np.full(len(nats), _BESIDE)
+    found = missed(fit, places, nats[: places.cells])
+    if fit.measurement is not None:
+        found = np.where(places.filled[: places.cells], 1.0, _not_shown(found))
+    present[: places.cells] = found
+    barred = (places.taken | places.beyond) & ~places.filled
+    present[barred] = np.minimum(present[barred], _NO_CELL)
+    present[places.shown & (places.detection < 0)] = _SHOWN
+    return present
+
+
+def _scaled(floors: Floors, present: Array, filled: BoolArray) -> Floors:
+    """Return the floors of places without a detection as probable as the button is, where that is less."""
+    total = floors.floor.sum(axis=1)
+    share = np.where(filled, 1.0, np.minimum(1.0, present / np.maximum(total, 1e-12)))
+    floor = floors.floor * share[:, None]
+    return Floors(floors.numbers, floor, 1.0 - floor.sum(axis=1))
+
+
+def _not_shown(probability: Array) -> Array:
+    """Return the probability of a button where the picture does not show it."""
+    p = np.minimum(probability, _MOST_SURE)
+    odds = p / (1.0 - p) / _NOT_SHOWN
+    return np.asarray(odds / (1.0 + odds))
+
+
+def _log_odds(probability: Array) -> Array:
+    p = np.clip(probability, 1e-9, 1.0 - 1e-9)
+    return np.asarray(np.log(p) - np.log1p(-p))
+
+
+def as_read(reading: Reading) -> Array:
+    """Return (K,) the probability that each place's label is right as it was read, 0 where none was."""
+    places, floors = reading.places, reading.floors
+    value = np.zeros(len(places.label))
+    for k, label in enumerate(places.label):
+        if label and floors is not None and is_number(label) and floors.numbers[0] <= int(label) <= floors.numbers[-1]:
+            value[k] = floors.floor[k, int(label) - floors.numbers[0]]
+        elif label:
+            value[k] = right_alone(label, places.score[k]) * (1.0 if floors is None else floors.other[k])
+    return value
+
+
+def probability_of(reading: Reading, name: str) -> Array:
+    """Return (K,) the probability that each place's button is labelled `name`."""
+    floors, places = reading.floors, reading.places
+    read = np.array([label == name for label in places.label])
+    alone = np.where(read, right_alone(name, places.score), 0.0)
+    if floors is None:
+        return alone * reading.present
+    matches = np.array([str(n) == name for n in floors.numbers])
+    if matches.any():
+        return np.asarray(floors.floor[:, matches][:, 0])
+    return np.asarray(alone * floors.other * reading.present)

@@ -1,0 +1,94 @@
+"""The button that means what was asked for, or the reason why it is not certain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from elevator_rectify.core.config import TargetConfig
+from elevator_rectify.core.reading.labels import canonical
+from elevator_rectify.core.reading.panel import probability_of
+from elevator_rectify.core.types import Array, Button, GridFit
+
+DEFAULT_TARGET = TargetConfig()
+# A second button with more than this probability of the label is named as a candidate.
+_CANDIDATE = 0.1
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The button that was asked for, or None and why: status and reason."""
+
+    button: Button | None
+    status: str
+    reason: str = ""
+
+
+def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET) -> Choice:
+    """Return the one button of the fit that means `target` ('7', 'open', 'B1'), or why there is none.
+
+    A wrong pose presses a wrong button: a label that another button may have too, that is not surely what was asked
+    for, or a place that is not known well enough are reasons to refuse. Spellings are unified (`labels.canonical`).
+    """
+    name = canonical(target)
+    if not name:
+        return Choice(None, "empty_target", "the target is empty")
+    if not fit.ok:
+        return Choice(None, "no_panel", f"{fit.status}: {fit.reason}")
+    probability = probability_of(fit.reading, name)
+    order = np.argsort(-probability, kind="stable")
+    first, second = (float(probability[order[k]]) if k < len(order) else 0.0 for k in (0, 1))
+    button = fit.buttons[order[0]]
+    if first < 0.5 and second < _CANDIDATE:
+        read = sorted({b.label for b in fit.buttons if b.label})
+        return Choice(None, "unknown_label", f"no button is labelled {name}; known are: {', '.join(read) or 'none'}")
+    if second > _CANDIDATE:
+        places = " and ".join(_place_of(fit.buttons[k]) for k in order[:2])
+        return Choice(None, "two_candidates", f"{name} may be {places}")
+    others = _other_readings(fit, button) - {name, ""}
+    if others:
+        return Choice(None, "two_candidates", f"the cell of {name} is read as {', '.join(sorted(others))} too")
+    return _decided(fit, button, name, first * (1.0 - second), config)
+
+
+def _place_of(button: Button) -> str:
+    return f"in cell ({button.row}, {button.column})" if button.row >= 0 else "beside the grid"
+
+
+def _other_readings(fit: GridFit, button: Button) -> set[str]:
+    """Return what the other detections of the button's cell read."""
+    if button.row < 0:
+        return set()
+    mine = np.flatnonzero((fit.cells == [button.row, button.column]).all(axis=1))
+    return {canonical(fit.detections[k].label) for k in mine if fit.detections and k != button.detection}
+
+
+def _decided(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
+    """Refuse a button whose label is not sure."""
+    if button.detection < 0 and not config.allow_inferred:
+        return Choice(None, "inferred_only", f"{name} was not detected; target.allow_inferred is off")
+    as_read = canonical(button.read) == name
+    if as_read and not button.score >= config.min_score:
+        return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
+    if probability < config.min_probability:
+        reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"
+        return Choice(None, "unsure_label", reason)
+    return _placed(fit, button, config)
+
+
+def _placed(fit: GridFit, button: Button, config: TargetConfig) -> Choice:
+    """Refuse a button whose place is not known well enough to press it."""
+    if not fit.metric:
+        return Choice(None, "unknown_scale", "the scale is unknown: set scale.column_pitch_m or use a depth image")
+    spread = lateral_std(button)
+    if spread > config.max_lateral_std_m:
+        reason = f"{button.label} is known to {spread:.4f} m sideways, {config.max_lateral_std_m:g} allowed"
+        return Choice(None, "uncertain", reason)
+    return Choice(button, "found")
+
+
+def lateral_std(button: Button) -> float:
+    """Return the standard deviation of the button's place across the pressing direction, along the worse axis."""
+    across: Array = np.linalg.svd(button.normal[None])[2][1:]
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(across @ button.covariance @ across.T)[-1])))

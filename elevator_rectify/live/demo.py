@@ -1,0 +1,170 @@
+"""The whole thing live: a player process feeds the node process over DDS; what it publishes is recorded and checked."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from elevator_rectify.recordings.replay import OUTPUT_PREFIX, InputTopics, find_topics
+from elevator_rectify.recordings.report import Outcome, write_report
+from elevator_rectify.ros.bag import BagWriter, bag_topics, bag_writer
+from elevator_rectify.ros.messages import ros_type
+from elevator_rectify.ros.output import TOPICS
+
+# Outputs come in bursts of a picture each; the recorder must not lose any.
+_RECORD_DEPTH = 100
+_QUIET_SECONDS = 20.0
+_START_SECONDS, _SETTLE_SECONDS = 60.0, 2.0
+
+
+def dds_environment(domain: int) -> dict[str, str]:
+    """Return the environment of a graph of its own on this machine, with the shared-memory profile where found."""
+    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}
+    profile = Path(__file__).parent.parent.parent / "config" / "fastdds.xml"
+    if profile.exists():
+        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+    return environment
+
+
+@contextmanager
+def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a process for the time of the block, then end it as Ctrl-C would."""
+    process = subprocess.Popen(command, env=environment)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def remaps(topics: InputTopics) -> list[str]:
+    """Return the arguments that connect the node to a played bag's topics."""
+    image = topics.image.removesuffix("/compressed")
+    pairs = {"image": image, "camera_info": topics.camera_info, "detections": topics.detections}
+    return ["--ros-args", *(part for name, topic in pairs.items() for part in ("-r", f"{name}:={topic}"))]
+
+
+class Recorder:
+    """Records all outputs of the node into a bag and counts the statuses."""
+
+    def __init__(self, bag: BagWriter, expected: int) -> None:
+        self.answered, self.expected = 0, expected
+        self._bag, self._last = bag, time.monotonic()
+        self._node = rclpy.create_node("elevator_rectify_recorder")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        for topic, kind in TOPICS.items():
+            self._subscribe(topic, kind)
+
+    def _subscribe(self, topic: str, kind: str) -> None:
+        qos = QoSProfile(depth=_RECORD_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+        name, message_type = OUTPUT_PREFIX + topic, ros_type(kind)
+        self._node.create_subscription(message_type, name, lambda data: self._write(topic, kind, data), qos, raw=True)
+
+    def _write(self, topic: str, kind: str, data: bytes) -> None:
+        self._bag.write_raw(OUTPUT_PREFIX + topic, kind, data, time.time_ns())
+        self._last = time.monotonic()
+        if topic == "status":
+            self.answered += 1
+            end = "" if self.answered < self.expected else "\n"
+            print(f"\r{self.answered}/{self.expected} frames answered", end=end, file=sys.stderr, flush=True)
+
+    def connect(self) -> None:
+        """Wait for the node; what it publishes before both sides know of each other is lost."""
+        deadline = time.monotonic() + _START_SECONDS
+        while any(not self._node.count_publishers(OUTPUT_PREFIX + topic) for topic in TOPICS):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the node did not start within {_START_SECONDS:g} s")
+            self._spin(0.1)
+        # The node may learn of its listener a little later than the listener of the node.
+        self._spin(_SETTLE_SECONDS)
+
+    def record(self, finished: Callable[[], bool]) -> None:
+        """Record until all statuses came, or the player has finished and the node fallen silent."""
+        while not (finished() and (self.answered >= self.expected or time.monotonic() - self._last > _QUIET_SECONDS)):
+            self._spin(0.2)
+        # What arrived together with the last status.
+        self._spin(0.5)
+        self._node.destroy_node()
+
+    def _spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.05)
+
+
+def run(source: Path, folder: Path, domain: int, node_arguments: list[str]) -> int:
+    """Run the demo; return 0 when every image was answered or refused with a reason."""
+    topics = find_topics(source, {})
+    expected = bag_topics(source)[topics.image][1]
+    environment = dds_environment(domain)
+    os.environ.update(environment)
+    output = folder / "bag"
+    python = [sys.executable, "-m", "elevator_rectify"]
+    wait = ["--wait-for", topics.image, topics.camera_info, topics.detections]
+    rclpy.init()
+    print(f"node and player on ROS_DOMAIN_ID={domain}; {expected} images from {source}")
+    with running([*python, "node", *remaps(topics), *node_arguments], environment), bag_writer(output) as bag:
+        recorder = Recorder(bag, expected)
+        recorder.connect()
+        with running([*python, "play", str(source), *wait], environment) as player:
+            recorder.record(lambda: player.poll() is not None)
+    rclpy.try_shutdown()
+    outcomes = write_report(source, {"live": output}, folder)["live"]
+    return verdict(outcomes, expected, recorder.answered)
+
+
+def verdict(outcomes: list[Outcome], expected: int, answered: int) -> int:
+    """Print what arrived and how long it took; 0 when every image has a status, with a reason where refused."""
+    complete = [o for o in outcomes if o.verdict and (o.ok == (o.verdict == "ok")) and (not o.ok or o.view is not None)]
+    refused = [o.verdict for o in outcomes if not o.ok]
+    print(f"{expected} images played, {answered} answered, {len(complete)} of them completely, {len(refused)} refused:")
+    print("\n".join(f"  {reason}" for reason in sorted(set(refused))) or "  none")
+    print(timings(outcomes))
+    return 0 if answered == expected == len(complete) else 1
+
+
+def timings(outcomes: list[Outcome]) -> str:
+    """Return the node's milliseconds per frame by stage."""
+    lines = [f"{'stage':<10}{'median ms':>11}{'p95 ms':>9}"]
+    for stage in ("convert", "fit", "warp", "overlay", "publish"):
+        values = [float(o.values[f"{stage}_ms"]) for o in outcomes if f"{stage}_ms" in o.values]
+        if values:
+            lines.append(f"{stage:<10}{np.median(values):>11.2f}{np.percentile(values, 95):>9.2f}")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line: the live demo."""
+    parser = argparse.ArgumentParser(prog="demo", description=__doc__)
+    parser.add_argument("bag", type=Path, nargs="?", default=Path("bags/paper_5x5"))
+    parser.add_argument("--output", type=Path, default=Path("out/demo"))
+    parser.add_argument("--domain", type=int, default=77, help="ROS_DOMAIN_ID of the demo")
+    parser.add_argument("--param", action="append", default=[], metavar="NAME:=VALUE", help="a parameter of the node")
+    options = parser.parse_args(arguments)
+    if options.output.exists():
+        options.output = options.output.with_name(f"{options.output.name}_{time.strftime('%Y%m%d_%H%M%S')}")
+    node_arguments: list[Any] = [part for assignment in options.param for part in ("-p", assignment)]
+    try:
+        return run(options.bag, options.output, options.domain, node_arguments)
+    except (ValueError, TimeoutError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 2

@@ -1,0 +1,101 @@
+"""Makes a bag from a folder of pictures and a JSON of boxes, so that real photographs can be replayed.
+
+JSON: {"NAME": {"boxes": [[xmin, ymin, xmax, ymax], ...], "focal_over_max_size": 0.9 or null}, ...},
+for NAME.jpg or NAME.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.types import Image
+from elevator_rectify.progress import progress
+from elevator_rectify.render.bag import FRAME, header_message, pose_array
+from elevator_rectify.ros.bag import BagWriter, bag_writer, make_bag_message
+from elevator_rectify.ros.output import camera_info_message
+
+ASSUMED_FOCAL = 0.9
+_PERIOD_NS = 1_000_000_000
+
+
+def photograph_camera(image: Image, focal_over_max_size: float) -> Camera:
+    """Return a camera with its principal point in the middle."""
+    height, width = image.shape[:2]
+    f = focal_over_max_size * max(width, height)
+    return Camera.from_matrix([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]], width, height)
+
+
+def find_picture(folder: Path, name: str) -> Path | None:
+    """Return the picture of this name."""
+    return next((p for ext in (".jpg", ".jpeg", ".png") if (p := folder / f"{name}{ext}").exists()), None)
+
+
+def write_photograph(bag: BagWriter, path: Path, entry: dict[str, Any], focal: float, time_ns: int) -> None:
+    """Append one photograph with its camera and detections."""
+    image = cv2.imread(str(path))
+    if image is None:
+        raise ValueError(f"{path} is no picture that OpenCV reads")
+    header = header_message(time_ns, FRAME)
+    _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92])
+    kind = "sensor_msgs/msg/CompressedImage"
+    bag.write(
+        "/camera/image/compressed",
+        kind,
+        make_bag_message(kind, header=header, format="jpeg", data=jpeg.ravel()),
+        time_ns,
+    )
+    info = camera_info_message(photograph_camera(image, focal), np.eye(3), header, make_bag_message)
+    bag.write("/camera/camera_info", "sensor_msgs/msg/CameraInfo", info, time_ns + 1)
+    boxes = np.array(entry["boxes"], dtype=float).reshape(-1, 4)
+    centres = np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2.0, np.zeros(len(boxes))])
+    bag.write("/detections", "geometry_msgs/msg/PoseArray", pose_array(centres, header), time_ns + 2)
+
+
+def make_bag(folder: Path, boxes: Path, output: Path, focal: float | None) -> list[str]:
+    """Write the bag; return warnings (assumed focal lengths, missing pictures). Raises ValueError for a bad JSON."""
+    try:
+        entries = json.loads(boxes.read_text())
+    except (OSError, json.JSONDecodeError) as error:
+        raise ValueError(f"{boxes}: {error}") from error
+    warnings = []
+    with bag_writer(output) as bag:
+        for number, (name, entry) in enumerate(progress(sorted(entries.items()), "photographs")):
+            path = find_picture(folder, name)
+            if path is None or "boxes" not in entry:
+                warnings.append(f"{name}: no picture or no boxes, left out")
+                continue
+            known = focal or entry.get("focal_over_max_size")
+            if known is None:
+                warnings.append(
+                    f"{name}: focal length unknown, assumed {ASSUMED_FOCAL} x the longer side; if wrong, angles are off"
+                )
+            write_photograph(bag, path, entry, known or ASSUMED_FOCAL, (number + 1) * _PERIOD_NS)
+    return warnings
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line: pictures and boxes to a bag."""
+    parser = argparse.ArgumentParser(
+        prog="make_bag", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("pictures", type=Path, help="folder of the pictures")
+    parser.add_argument("boxes", type=Path, help="JSON file")
+    parser.add_argument("bag", type=Path, help="folder to write")
+    parser.add_argument("--focal", type=float, help="focal length over the picture's longer side, for all pictures")
+    options = parser.parse_args(arguments)
+    try:
+        for warning in make_bag(options.pictures, options.boxes, options.bag, options.focal):
+            print(f"warning: {warning}", file=sys.stderr)
+    except ValueError as error:
+        print(f"make_bag: {error}", file=sys.stderr)
+        return 2
+    print(f"wrote {options.bag}")
+    return 0

@@ -1,0 +1,170 @@
+"""Replays a bag through the node's conversion, pairing and pipeline, offline, without a ROS graph."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TextIO
+
+from elevator_rectify.core.config import METHODS, Config, flatten, with_values
+from elevator_rectify.core.view.text_grid import LEGEND, text_grid
+from elevator_rectify.progress import progress
+from elevator_rectify.recordings.report import write_report
+from elevator_rectify.ros.answer import Answer, answer_frame
+from elevator_rectify.ros.bag import BadBag, BagWriter, Record, bag_topics, bag_writer, make_bag_message, read_bag
+from elevator_rectify.ros.config import DETECTION_TYPES, NodeConfig, PairingConfig
+from elevator_rectify.ros.convert import stamp_ns
+from elevator_rectify.ros.output import TOPICS, output_messages
+from elevator_rectify.ros.pairing import Frame, Pairing
+
+OUTPUT_PREFIX = "/elevator_rectify/"
+_SINGLE_IMAGES = NodeConfig(track=False)
+
+
+@dataclass(frozen=True)
+class InputTopics:
+    """Where the three streams are in a bag."""
+
+    image: str
+    camera_info: str
+    detections: str
+
+
+# Message types that serve as each stream, in order of preference.
+_STREAM_TYPES = {
+    "image": ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"),
+    "camera_info": ("sensor_msgs/msg/CameraInfo",),
+    "detections": tuple(DETECTION_TYPES.values()),
+}
+
+
+def find_topics(path: Path, given: dict[str, str | None]) -> InputTopics:
+    """Return the bag's input topics: the given ones, else the first of the right type; BadBag where one is missing."""
+    topics = {
+        name: kind for name, (kind, _) in bag_topics(path).items() if not name.startswith(("/truth/", OUTPUT_PREFIX))
+    }
+    found = {}
+    for stream, kinds in _STREAM_TYPES.items():
+        wish = given.get(stream)
+        fitting = [name for kind in kinds for name in sorted(topics) if topics[name] == kind][:2]
+        named = [name for name in fitting if stream in name]
+        if wish is not None and topics.get(wish) not in kinds:
+            raise BadBag(f"{path} has no topic {wish} of type {' or '.join(kinds)}; it has {_listed(topics)}")
+        if wish is None and not fitting:
+            raise BadBag(f"{path} has no {stream}: no topic of type {' or '.join(kinds)}; it has {_listed(topics)}")
+        found[stream] = wish or (named or fitting)[0]
+    return InputTopics(**found)
+
+
+def _listed(topics: dict[str, str]) -> str:
+    return ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+
+
+def paired_frames(records: Iterator[Record], topics: InputTopics, pairing: Pairing) -> Iterator[tuple[Frame, int]]:
+    """Feed the records to the pairing as the live node would; yield complete frames and the log time."""
+    adders = {
+        topics.image: pairing.add_image,
+        topics.camera_info: pairing.add_camera_info,
+        topics.detections: pairing.add_detections,
+    }
+    for record in records:
+        for frame in adders[record.topic](record.message):
+            yield frame, record.time_ns
+
+
+def replay(path: Path, output: Path, topics: InputTopics, config: Config, grids: TextIO | None = None) -> Counter[str]:
+    """Answer every frame of the bag into a new bag; return the counts of statuses and drops.
+
+    grids: where the accepted panels are written as text, each under its image's stamp in ns.
+
+    Raises BadBag where the input breaks off; all answers until there are written.
+    """
+    wanted = {topics.image, topics.camera_info, topics.detections}
+    number = sum(count for name, (_, count) in bag_topics(path).items() if name == topics.detections)
+    pairing, counts = Pairing(PairingConfig()), Counter[str]()
+    try:
+        with bag_writer(output) as bag:
+            frames = paired_frames(read_bag(path, wanted), topics, pairing)
+            for frame, time_ns in progress(frames, f"replay {config.method}", number):
+                answer = _answer_into(bag, frame, config, time_ns)
+                counts[answer.fit.status] += 1
+                if grids is not None and answer.fit.ok:
+                    print(f"{stamp_ns(answer.header)}\n{text_grid(answer.buttons)}\n", file=grids)
+    finally:
+        counts += pairing.dropped + pairing.waiting()
+        print(f"{config.method}: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
+    return counts
+
+
+def _answer_into(bag: BagWriter, frame: Frame, config: Config, time_ns: int) -> Answer:
+    """Write everything that the node would publish for the frame; return the answer."""
+    answer, _ = answer_frame(frame, config, node=_SINGLE_IMAGES)
+    for topic, message in output_messages(answer, make_bag_message, TOPICS.__contains__):
+        bag.write(OUTPUT_PREFIX + topic, TOPICS[topic], message, time_ns)
+    return answer
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="replay", description=__doc__)
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("--output", type=Path, default=Path("out/replay"), help="folder for bags, pictures and table")
+    parser.add_argument("--method", default=Config().method, help=f"one or several of {','.join(METHODS)}")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="PATH=VALUE", help="a parameter, e.g. scale.column_pitch_m=0.045"
+    )
+    for stream in _STREAM_TYPES:
+        parser.add_argument(f"--{stream.replace('_', '-')}", help=f"topic of the {stream}; else found by its type")
+    return parser
+
+
+def _config(assignments: list[str]) -> Config:
+    """Return the configuration with PATH=VALUE strings applied."""
+    config, values = Config(), {}
+    for assignment in assignments:
+        path, _, text = assignment.partition("=")
+        if path not in flatten(config):
+            raise ValueError(f"there is no parameter '{path}'")
+        kind: Any = type(flatten(config)[path][1])
+        values[path] = kind(text)
+    changed: Config = with_values(config, values)
+    return changed
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line: 0 when the whole bag was replayed, 1 when it broke off, 2 for what cannot be replayed."""
+    options = _parser().parse_args(arguments)
+    try:
+        methods = options.method.split(",")
+        configs = {method: replace(_config(options.set), method=method) for method in methods}
+        topics = find_topics(options.bag, {stream: getattr(options, stream) for stream in _STREAM_TYPES})
+    except ValueError as error:
+        print(f"replay: {error}", file=sys.stderr)
+        return 2
+    code, outputs = 0, {}
+    for method, config in configs.items():
+        outputs[method] = _free_folder(options.output / method)
+        options.output.mkdir(parents=True, exist_ok=True)
+        try:
+            with (options.output / f"panels_{method}.txt").open("w") as grids:
+                print(LEGEND + "\n", file=grids)
+                replay(options.bag, outputs[method], topics, config, grids)
+            print(f"panels:   {options.output / f'panels_{method}.txt'}")
+        except BadBag as error:
+            print(f"replay: {error}", file=sys.stderr)
+            code = 1
+    write_report(options.bag, outputs, options.output)
+    return code
+
+
+def _free_folder(path: Path) -> Path:
+    """Return the path, or with the first free number behind it: earlier results are kept."""
+    number = 1
+    free = path
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.name}_{number}")
+    return free
