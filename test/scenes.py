@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from elevator_rectify.core import Camera
-from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array
 from elevator_rectify.render.panel import PITCH_M, regular_panel
 from elevator_rectify.render.scene import PAPER_K, DetectorModel, Scene, Viewpoint, make_scene, paper_camera

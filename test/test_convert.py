@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from elevator_rectify.core.paper.motion import rotation
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message
 from elevator_rectify.ros.messages import make_ros
 from elevator_rectify.ros.pictures import ENCODINGS, BadMessage, check_image, depth_from_message, image_from_message

@@ -11,19 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from elevator_rectify.benchmark.pictures import few_pictured
-from elevator_rectify.core import Config, Detection, GridFit, fit_panel, rectify_image
+from elevator_rectify.core import Config, Detection, fit_panel, rectify_image
 from elevator_rectify.core.config import with_values
+from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
 from elevator_rectify.core.outline.result import turn_of
 from elevator_rectify.core.outline.shapes import shape_points
-from elevator_rectify.core.paper.motion import rotation, rotation_angle_rad
 from elevator_rectify.core.picture.straight_edges import segments_of, sharpened, support
-from elevator_rectify.core.types import Array, Image
+from elevator_rectify.core.types import Array, FitResult, Image
 from elevator_rectify.render.scene import paper_camera
 
 NO_EDGES = with_values(Config(), {"outline.edges": False})
 
 
-def normal_error_deg(fit: GridFit, R: Array) -> float:
+def normal_error_deg(fit: FitResult, R: Array) -> float:
     return float(np.rad2deg(np.arccos(np.clip(fit.R_camera_panel[:, 2] @ R[:, 2], -1.0, 1.0))))
 
 

@@ -5,21 +5,14 @@ import pytest
 
 from elevator_rectify.core import Camera, Config, fit_panel, fit_panels
 from elevator_rectify.core.config import HypothesesConfig, JointConfig, with_values
+from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.hypotheses import (
     fit_homographies,
     grown_hypotheses,
     lattice_coordinates,
     nearest_nodes,
 )
-from elevator_rectify.core.lattice.refinement import (
-    Poses,
-    jacobians,
-    mirrored,
-    poses_from_maps,
-    projected,
-    rotations,
-    stepped,
-)
+from elevator_rectify.core.lattice.refinement import Poses, jacobians, mirrored, poses_from_maps, projected, stepped
 from elevator_rectify.core.types import IntArray
 from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.levels import LEVELS, random_scene

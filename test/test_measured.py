@@ -7,13 +7,14 @@ import pytest
 
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
 from elevator_rectify.core import Camera, Config, fit_panel
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit
 from elevator_rectify.core.lattice.refinement import Poses
-from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.core.picture.patches import Window, picture_of, sample
 from elevator_rectify.core.picture.template import align, make_template, symmetry_centre
 from elevator_rectify.core.picture.widening import _Side, _wider
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array
 from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.scene import Scene, paper_camera
 

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core.config import MotionConfig
-from elevator_rectify.core.paper.motion import estimate_motion, jacobian, no_motion, rotation, transform
+from elevator_rectify.core.geometry.rotations import rotation
+from elevator_rectify.core.paper.motion import estimate_motion, jacobian, no_motion, transform
 from elevator_rectify.core.types import Array
 from test.scenes import rotation_error_deg
 

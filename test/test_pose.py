@@ -9,7 +9,7 @@ from elevator_rectify.core.geometry.pose import (
     pose_from_homography,
     scale_pose_covariance,
 )
-from elevator_rectify.core.paper.motion import rotation
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.types import Array
 from test.scenes import rotation_error_deg
 

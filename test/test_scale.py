@@ -10,10 +10,11 @@ import pytest
 from elevator_rectify.core import Config, fit_panel
 from elevator_rectify.core.config import ScaleConfig, SmoothingConfig
 from elevator_rectify.core.geometry.pose import covariance_at
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.geometry.scale import scaled, with_scale
-from elevator_rectify.core.paper.motion import rotation
+from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.track import smoothed
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array
 from elevator_rectify.render.panel import PITCH_M
 from elevator_rectify.render.scene import Scene
 from test.scenes import rotation_error_deg, scene

@@ -9,9 +9,9 @@ import numpy as np
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import few_pictured
 from elevator_rectify.core.config import Config, with_values
-from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array, FitResult
 
 _WRONG_DEG = 4.0
 _SHAPES = ("round", "square")
@@ -40,7 +40,7 @@ def run_few(task: tuple[str, int, int, int, bool]) -> FewTrial:
     return FewTrial(errors[0], min(errors), rotation, fit.status)
 
 
-def _error_deg(fit: GridFit, normal: Array) -> float:
+def _error_deg(fit: FitResult, normal: Array) -> float:
     if not np.isfinite(fit.R_camera_panel).all():
         return 180.0
     return float(np.rad2deg(np.arccos(np.clip(fit.R_camera_panel[:, 2] @ normal, -1.0, 1.0))))

@@ -13,8 +13,9 @@ from elevator_rectify.benchmark.real import boxes_to_detections, centred_camera,
 from elevator_rectify.core.config import Config, with_values
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel
+from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
-from elevator_rectify.core.types import Array, BoolArray, Detection, GridFit, IntArray
+from elevator_rectify.core.types import Array, BoolArray, Detection, IntArray
 from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
 
 # The pitch is assumed: only labels are judged here.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from elevator_rectify.core.config import Config
-from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array
 from elevator_rectify.render.scene import paper_camera
 
 # Both lattices face the camera; noise turns the pose by less than this.

@@ -13,7 +13,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, SUCCESS_DEG, Trial, calibration_error, judged
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import Array, GridFit, Image
+from elevator_rectify.core.types import Array, FitResult, Image
 from elevator_rectify.render.few import few_scene
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.looks import SCATTER_SHARE, dressed, random_taking
@@ -82,7 +82,7 @@ def run_picture(task: tuple[str, int, int, bool]) -> PictureTrial:
     return PictureTrial(fits[0], fits[1], lateral_mm(scene, fit), *undetected(scene, fit))
 
 
-def lateral_mm(scene: Scene, fit: GridFit) -> Array:
+def lateral_mm(scene: Scene, fit: FitResult) -> Array:
     """Return the errors (M,) of the detected buttons' places across the panel's normal, scaled to 0.5 m."""
     if not fit.ok:
         return np.zeros(0)
@@ -93,7 +93,7 @@ def lateral_mm(scene: Scene, fit: GridFit) -> Array:
     return np.asarray(1e3 * np.linalg.norm(across, axis=1) * _AWAY_M / at[:, 2])
 
 
-def undetected(scene: Scene, fit: GridFit) -> tuple[int, int, int]:
+def undetected(scene: Scene, fit: FitResult) -> tuple[int, int, int]:
     """Return how many buttons without detection were shown, how many shown ones are none, and how many there are."""
     inside = ((scene.pixels > 4) & (scene.pixels < [scene.camera.width - 5, scene.camera.height - 5])).all(axis=1)
     gone = np.setdiff1d(np.flatnonzero(inside), scene.button)

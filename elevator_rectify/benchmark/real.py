@@ -12,7 +12,8 @@ import numpy as np
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import Array, Detection, GridFit
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array, Detection
 from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
 
 _CONFIG = Config()

@@ -13,7 +13,8 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import BoolArray, GridFit, IntArray
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import BoolArray, IntArray
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import rectify_image
 from elevator_rectify.render.scene import Scene

@@ -10,9 +10,9 @@ import numpy as np
 
 from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation
 from elevator_rectify.core.config import Config, with_values
-from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array, FitResult
 from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene
@@ -53,7 +53,7 @@ def run_trial(level: str, seed: int, number: int, method: str) -> Trial:
     return judged(scene, fit, elapsed)
 
 
-def judged(scene: Scene, fit: GridFit, milliseconds: float) -> Trial:
+def judged(scene: Scene, fit: FitResult, milliseconds: float) -> Trial:
     """Compare a fit with its scene's truth."""
     truth, real = scene.R_camera_panel, scene.button >= 0
     found = bool(np.isfinite(fit.R_camera_panel).all())
@@ -73,7 +73,7 @@ def judged(scene: Scene, fit: GridFit, milliseconds: float) -> Trial:
     )
 
 
-def _mahalanobis2(fit: GridFit, truth: Array) -> float:
+def _mahalanobis2(fit: FitResult, truth: Array) -> float:
     """Return the squared length of the rotation's error in its own covariance."""
     error = cv2.Rodrigues(truth @ fit.R_camera_panel.T)[0].ravel()
     covariance = fit.covariance[3:, 3:]

@@ -16,7 +16,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.real import boxes_to_detections, centred_camera, edge_deviations_deg, rectifying_map
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.paper.motion import rotation, rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, Image
 from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL

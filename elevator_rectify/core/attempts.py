@@ -10,11 +10,11 @@ import numpy as np
 from elevator_rectify.core.config import Config, HypothesesConfig
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
-from elevator_rectify.core.lattice.refinement import rotations
 from elevator_rectify.core.picture.fit import with_picture
 from elevator_rectify.core.result import joint_fit, layout_of
-from elevator_rectify.core.types import Array, GridFit, Image
+from elevator_rectify.core.types import Array, FitResult, Image
 
 # The first search's share of the hypotheses.
 _QUICK = 0.125
@@ -29,7 +29,7 @@ class Attempt:
     """One search: what it found, the result made of it, and the confidence that makes the next one needless."""
 
     fit: JointFit | None
-    result: GridFit
+    result: FitResult
     enough: float
 
     @property
@@ -75,8 +75,8 @@ def attempts(
 
 
 def tracked(
-    usable: Usable, camera: Camera, sigma: float, config: Config, previous: GridFit, image: Image | None = None
-) -> GridFit | None:
+    usable: Usable, camera: Camera, sigma: float, config: Config, previous: FitResult, image: Image | None = None
+) -> FitResult | None:
     """Return the previous fit moved to these detections, None where it does not explain them."""
     if not previous.ok or previous.method != "joint":
         return None

@@ -11,7 +11,7 @@ import numpy as np
 
 from elevator_rectify.core.config import AcceptConfig
 from elevator_rectify.core.lattice.layout import LayoutFit
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array, FitResult
 
 # Written by `python3 -m elevator_rectify calibrate`.
 COEFFICIENTS = Path(__file__).with_name("confidence.json")
@@ -97,7 +97,7 @@ def rotation_std_rad(covariance: Array) -> float:
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
 
 
-def features(fit: LayoutFit, margin: float, sigma: float, found: GridFit) -> Array:
+def features(fit: LayoutFit, margin: float, sigma: float, found: FitResult) -> Array:
     """Return what the confidence of a joint fit is computed from, in the order of FEATURES."""
     inliers = float((fit.inlier > 0.5).sum())
     layout = fit.layout

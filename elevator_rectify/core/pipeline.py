@@ -13,8 +13,9 @@ from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
+from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.result import failed_fit, paper_fit
-from elevator_rectify.core.types import Array, Detection, GridFit, Image
+from elevator_rectify.core.types import Array, Detection, FitResult, Image
 
 DEFAULT_CONFIG = Config()
 
@@ -23,7 +24,7 @@ def fit_panel(
     detections: Array | Sequence[Detection],
     camera: Camera,
     config: Config = DEFAULT_CONFIG,
-    previous: GridFit | None = None,
+    previous: FitResult | None = None,
     image: Image | None = None,
 ) -> GridFit:
     """Fit the button grid and the panel's pose to one image's detections.
@@ -37,16 +38,16 @@ def fit_panel(
     if image is not None and (image.dtype != np.uint8 or image.shape[:2] != (camera.height, camera.width)):
         size = f"{camera.width} x {camera.height}"
         raise ValueError(f"image must be uint8 of the camera's {size}, not {image.dtype} of shape {image.shape}")
-    return replace(_fit(detections, camera, config, previous, image), detections=_as_given(detections))
+    return GridFit.of(_fit(detections, camera, config, previous, image), detections=_as_given(detections))
 
 
 def _fit(
     detections: Array | Sequence[Detection],
     camera: Camera,
     config: Config,
-    previous: GridFit | None,
+    previous: FitResult | None,
     image: Image | None,
-) -> GridFit:
+) -> FitResult:
     """Run the stages in their order."""
     usable = usable_detections(detections, camera, config.input)
     if len(usable.index) < config.input.min_detections:
@@ -65,7 +66,7 @@ def _fit(
     return paper_fit(fit, usable, camera, config)
 
 
-def _by_outlines(usable: Usable, camera: Camera, config: Config, image: Image | None, refused: GridFit) -> GridFit:
+def _by_outlines(usable: Usable, camera: Camera, config: Config, image: Image | None, refused: FitResult) -> FitResult:
     """Return the fit to the few buttons' outlines, where there is a picture of them."""
     if image is None or config.method != "joint" or not len(usable.index):
         return refused

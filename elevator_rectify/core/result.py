@@ -28,17 +28,17 @@ from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, pose_at
 from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
 from elevator_rectify.core.paper.rounds import PaperFit
-from elevator_rectify.core.types import Array, GridFit, IntArray
+from elevator_rectify.core.types import Array, FitResult, IntArray
 
 # A lattice of a finer pitch than so many standard deviations of the detections is near to every point.
 _FINEST_PITCH_SIGMAS = 4.0
 _MOST_IN_A_CELL = 1.5
 
 
-def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> GridFit:
+def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> FitResult:
     """Return the result without a pose."""
     cells = np.full((usable.number, 2), -1, dtype=np.int64)
-    return GridFit(status=status, reason=reason, method=config.method, cells=cells)
+    return FitResult(status=status, reason=reason, method=config.method, cells=cells)
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Geometry:
     covariance: Array
 
 
-def paper_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> GridFit:
-    """Turn the paper's fit into a GridFit and decide its status."""
+def paper_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> FitResult:
+    """Turn the paper's fit into a FitResult and decide its status."""
     found = replace(
         failed_fit("ok", "", usable, config),
         iterations=fit.iterations,
@@ -80,8 +80,8 @@ def paper_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> 
     return replace(found, status=status, reason=reason, confidence=confidence(evidence, config.accept))
 
 
-def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float, config: Config) -> GridFit:
-    """Turn the joint method's fit into a GridFit and decide its status."""
+def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float, config: Config) -> FitResult:
+    """Turn the joint method's fit into a FitResult and decide its status."""
     found = failed_fit("no_lattice", "no lattice of two rows and two columns explains the detections", usable, config)
     if fit is None:
         return found
@@ -95,7 +95,7 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
     return judged(best, fit.best, camera, config)
 
 
-def judged(found: GridFit, fit: LayoutFit, camera: Camera, config: Config) -> GridFit:
+def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config) -> FitResult:
     """Return the fit with its status, by its plausibility, covariance and confidence."""
     implausible = _implausible(found, fit, camera)
     if implausible:
@@ -110,7 +110,7 @@ def judged(found: GridFit, fit: LayoutFit, camera: Camera, config: Config) -> Gr
     return replace(found, status="ok", reason="")
 
 
-def _implausible(found: GridFit, fit: LayoutFit, camera: Camera) -> str:
+def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
     """Return why the fit cannot be a panel: its cells are as small as the noise, or hold several detections each."""
     steps = [np.linalg.norm(np.diff(found.grid_px, axis=axis), axis=2) for axis in (0, 1)]
     pitch_px, sigma_px = min(float(np.nanmedian(step)) for step in steps), fit.sigma * camera.focal_px
@@ -121,7 +121,7 @@ def _implausible(found: GridFit, fit: LayoutFit, camera: Camera) -> str:
     return f"{shared:.1f} detections in every filled cell" if shared > _MOST_IN_A_CELL else ""
 
 
-def _layout_result(fit: LayoutFit, found: GridFit, usable: Usable, camera: Camera, config: Config) -> GridFit:
+def _layout_result(fit: LayoutFit, found: FitResult, usable: Usable, camera: Camera, config: Config) -> FitResult:
     """Return the geometry of a fit to detections."""
     pose, covariance = pose_at(fit, usable.rays, fit.layout.nodes[0, 0], config.joint)
     return layout_result(fit, pose, covariance * config.accept.covariance_scale, found, usable, camera, config)
@@ -131,11 +131,11 @@ def layout_result(
     fit: LayoutFit,
     pose: LatticePose,
     covariance: Array,
-    found: GridFit,
+    found: FitResult,
     usable: Usable,
     camera: Camera,
     config: Config,
-) -> GridFit:
+) -> FitResult:
     """Return the geometry of a layout fit; pose and covariance (6, 6) are those of its first node."""
     layout = fit.layout
     origin = layout.nodes[0, 0]
@@ -158,7 +158,7 @@ def layout_result(
     )
 
 
-def layout_of(fit: GridFit) -> LayoutFit:
+def layout_of(fit: FitResult) -> LayoutFit:
     """Return pose and layout of a result, as the start of the next frame's fit."""
     unit = float(fit.pitch[0])
     layout = Layout(
@@ -197,7 +197,7 @@ def _lattice(rows: int, columns: int) -> Array:
     return np.stack([j, i], axis=-1)
 
 
-def with_geometry(found: GridFit, geometry: Geometry, usable: Usable, camera: Camera, config: Config) -> GridFit:
+def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: Camera, config: Config) -> FitResult:
     """Fill in pose, covariance and grid in the user's units."""
     metric = config.scale.column_pitch_m > 0
     unit = config.scale.column_pitch_m if metric else 1.0
@@ -243,7 +243,7 @@ def _errors(pose: LatticePose, nodes: Array, cells: IntArray, rays: Array) -> Ar
 
 
 def _evidence(
-    found: GridFit, pose: LatticePose, nodes: Array, cells: IntArray, usable: Usable, covariance: Array
+    found: FitResult, pose: LatticePose, nodes: Array, cells: IntArray, usable: Usable, covariance: Array
 ) -> Evidence:
     """Return what speaks for the paper's fit."""
     inlier = cells[:, 0] >= 0

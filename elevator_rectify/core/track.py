@@ -9,7 +9,7 @@ import numpy as np
 
 from elevator_rectify.core.config import SmoothingConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array, FitResult, FitT
 
 # 99.9 % of a chi-squared variable of six degrees of freedom: what lies beyond is a jump, not noise.
 _JUMP_CHI2 = 22.46
@@ -20,7 +20,7 @@ _SAME_LINE = 0.1
 class Track:
     """The last accepted fit as measured, its smoothed pose with the covariance of that, and the image's stamp."""
 
-    fit: GridFit
+    fit: FitResult
     R: Array
     t: Array
     covariance: Array
@@ -28,8 +28,8 @@ class Track:
 
 
 def smoothed(
-    track: Track | None, fit: GridFit, camera: Camera, stamp_ns: int, config: SmoothingConfig
-) -> tuple[Track | None, GridFit]:
+    track: Track | None, fit: FitT, camera: Camera, stamp_ns: int, config: SmoothingConfig
+) -> tuple[Track | None, FitT]:
     """Return the new track and the fit to publish: smoothed by the track where it shows the same panel.
 
     A Kalman filter (Thrun, Burgard and Fox, 3.2): the panel stands, the camera moves by the configured speeds. The
@@ -58,7 +58,7 @@ def smoothed(
     return Track(fit, R, t, prior - gain @ prior, stamp_ns), posed(fit, R, t, camera)
 
 
-def same_panel(one: GridFit, other: GridFit) -> bool:
+def same_panel(one: FitResult, other: FitResult) -> bool:
     """Tell whether two fits have the same rows and columns, and one unit."""
     if one.metric != other.metric or (one.rows, one.columns) != (other.rows, other.columns):
         return False
@@ -66,7 +66,7 @@ def same_panel(one: GridFit, other: GridFit) -> bool:
     return all(bool((np.abs(a - b) < _SAME_LINE).all()) for a, b in lines)
 
 
-def posed(fit: GridFit, R: Array, t: Array, camera: Camera) -> GridFit:
+def posed(fit: FitT, R: Array, t: Array, camera: Camera) -> FitT:
     """Return the fit with another pose of its panel."""
     points = fit.grid_panel @ R[:, :2].T + t
     return replace(fit, R_camera_panel=R, t_camera_panel=t, grid_points=points, grid_px=camera.project(points))

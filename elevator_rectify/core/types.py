@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from elevator_rectify.core.geometry.camera import Camera
-    from elevator_rectify.core.reading.panel import Reading
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -87,7 +82,7 @@ class Measurement:
 
 
 @dataclass(frozen=True)
-class GridFit:
+class FitResult:
     """The fitted grid and the panel's pose, or the reason why there is none.
 
     Lengths are in metres where the column pitch is known, else in column pitches (`metric` tells). The panel frame
@@ -129,7 +124,7 @@ class GridFit:
     converged: bool = False
     cost_x1000: float = float("nan")
     margin_nats: float = float("inf")
-    alternatives: tuple[GridFit, ...] = ()
+    alternatives: tuple[FitResult, ...] = ()
     detections: tuple[Detection, ...] = ()
     rays: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measurement: Measurement | None = None
@@ -139,26 +134,6 @@ class GridFit:
         """Tell whether the pose may be used."""
         return self.status == "ok"
 
-    @cached_property
-    def buttons(self) -> tuple[Button, ...]:
-        """Return the grid's places, row by row, then the buttons beside it; none where the pose may not be used."""
-        from elevator_rectify.core.reading.buttons import buttons_of
 
-        return buttons_of(self)
-
-    @cached_property
-    def reading(self) -> Reading:
-        """Return what the panel's labels and layout say of its places."""
-        from elevator_rectify.core.reading.panel import read_panel
-
-        return read_panel(self)
-
-
-@dataclass(frozen=True)
-class Rectification:
-    """A fronto-parallel view: the image, its exact camera, and the homography from undistorted input pixels."""
-
-    image: Image
-    camera: Camera
-    H_rectified_image: Array
-    R_rectified_camera: Array
+# What a stage makes of a result is a result of the same class.
+FitT = TypeVar("FitT", bound=FitResult)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from elevator_rectify.core import fit_panel
-from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.live.acts import NOTHING, POSE, POSE_OR_SKIPPED, REFUSED, Script
 from elevator_rectify.live.driver import Driver, driven
 from elevator_rectify.live.frames import Frames

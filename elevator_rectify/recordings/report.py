@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.paper.motion import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.core.view.draw import caption
 from elevator_rectify.recordings.evaluate import right_cells

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.paper.motion import rotation
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.types import Array
 from elevator_rectify.render.looks import dressed
 from elevator_rectify.render.outline import half_size_m

@@ -14,12 +14,12 @@ from elevator_rectify.core.config import Config, LabelsConfig
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.scale import with_scale
 from elevator_rectify.core.pipeline import fit_panel
-from elevator_rectify.core.reading.buttons import buttons_of
+from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.target import Choice, find_button
 from elevator_rectify.core.track import Track, smoothed
-from elevator_rectify.core.types import Array, Button, Detection, GridFit, Image, Rectification
+from elevator_rectify.core.types import Array, Button, Detection, Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
-from elevator_rectify.core.view.warp import rectify_image
+from elevator_rectify.core.view.warp import Rectification, rectify_image
 from elevator_rectify.ros.config import DEFAULT_NODE, NodeConfig
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
 from elevator_rectify.ros.pairing import Frame
@@ -60,7 +60,7 @@ class Answer:
     @cached_property
     def buttons(self) -> tuple[Button, ...]:
         """Return the panel's places with their labels."""
-        return buttons_of(self.fit, self.labels)
+        return self.fit.buttons_by(self.labels)
 
 
 @dataclass(frozen=True)

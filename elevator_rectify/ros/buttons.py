@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from elevator_rectify.core.types import Array, Button, GridFit
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array, Button
 from elevator_rectify.ros.messages import Make
 from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array
 from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.messages import Make
 from elevator_rectify.ros.poses import pose_of

@@ -17,8 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 
+from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.track import Track
-from elevator_rectify.core.types import GridFit
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.convert import class_labels, stamp_ns
 from elevator_rectify.ros.messages import installed, make_ros, ros_type

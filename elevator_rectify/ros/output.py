@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.types import Array, GridFit, Image
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array, Image
 from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.buttons import buttons_message, pressing_pose_message
 from elevator_rectify.ros.markers import marker_message

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from elevator_rectify.core.geometry.pose import covariance_at
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.types import Array
 from elevator_rectify.ros.messages import Make
 
 # Variance of a translation whose scale is unknown: a kilometre of standard deviation. No filter and no arm uses it.

@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.core.config import ScaleConfig
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import scale_pose_covariance
-from elevator_rectify.core.types import Array, GridFit
+from elevator_rectify.core.types import Array, FitResult, FitT
 
 # Places across the grid, per axis, at which the depth is read.
 _PLACES = 24
@@ -34,7 +34,7 @@ class Scale:
         return bool(np.isfinite(self.metres))
 
 
-def scale_from_depth(fit: GridFit, camera: Camera, depth_m: Array) -> Scale:
+def scale_from_depth(fit: FitResult, camera: Camera, depth_m: Array) -> Scale:
     """Return how many metres one unit of the fit is, by an aligned depth image (height, width), NaN where it has holes.
 
     The depth over the plane's own is the scale, at every place; the median resists holes, caps and a hand before them.
@@ -62,7 +62,7 @@ def _unknown(reason: str) -> Scale:
     return Scale(float("nan"), float("nan"), reason)
 
 
-def with_scale(fit: GridFit, camera: Camera, depth_m: Array, config: ScaleConfig) -> tuple[GridFit, str]:
+def with_scale(fit: FitT, camera: Camera, depth_m: Array, config: ScaleConfig) -> tuple[FitT, str]:
     """Return the fit (in pitches) with a metric scale, and where that is from: depth, column pitch or both.
 
     Where the two contradict each other, the scale is unknown, and the text says why.
@@ -82,7 +82,7 @@ def with_scale(fit: GridFit, camera: Camera, depth_m: Array, config: ScaleConfig
     return scaled(fit, metres, float(weights.sum() ** -0.5)), "column pitch and depth"
 
 
-def scaled(fit: GridFit, metres: float, std: float) -> GridFit:
+def scaled(fit: FitT, metres: float, std: float) -> FitT:
     """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
     seen = fit.measurement
     return replace(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.core.config import Config
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.lattice.coarsening import coarsened
 from elevator_rectify.core.lattice.hypotheses import grown_hypotheses
 from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, refine_layout, regular_layout
@@ -22,7 +23,6 @@ from elevator_rectify.core.lattice.refinement import (
     supporting_cells,
 )
 from elevator_rectify.core.lattice.search import trimmed, with_extra_columns, with_extra_rows, with_gaps
-from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.core.types import Array, IntArray
 
 # Poses less apart than this are one (the margin to the best other one says how ambiguous the fit is).

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.core.config import JointConfig
+from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.hypotheses import lattice_coordinates, nearest_nodes
 from elevator_rectify.core.types import Array, IntArray
 
@@ -21,8 +22,6 @@ _HUBER = 4.0
 _STEEP_RAD, _TURNED_RAD = 0.2, 0.02
 _FIELDS = ("R", "t", "log_aspect", "centre", "brick")
 _FARTHEST_CELL = 300
-# vector @ _CROSS is its cross product matrix, row by row.
-_CROSS = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0.0]])
 ANNEALING = (2.0, 1.4, 1.0, 1.0)
 
 
@@ -88,13 +87,6 @@ def mirrored(poses: Poses) -> Poses:
     turned = poses.R - 2.0 * sight[:, :, None] * (sight[:, None, :] @ poses.R)
     turned[:, :, 2] = np.cross(turned[:, :, 0], turned[:, :, 1])
     return replace(poses, R=turned)
-
-
-def rotations(vectors: Array) -> Array:
-    """Return (B, 3, 3) rotations of vectors (B, 3) (Rodrigues)."""
-    angle = np.sqrt((vectors * vectors).sum(axis=1))[:, None, None]
-    K = (vectors @ _CROSS).reshape(-1, 3, 3) / np.where(angle > 1e-12, angle, 1.0)
-    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K))
 
 
 def projected(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.lattice.refinement import rotations
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
 from elevator_rectify.core.outline.shapes import (
     Edges,
     OutlineFit,
@@ -20,7 +20,6 @@ from elevator_rectify.core.outline.shapes import (
     strengths,
     unit_shape,
 )
-from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.core.picture.straight_edges import Segments, segments_of, support
 from elevator_rectify.core.types import Array, Image
 

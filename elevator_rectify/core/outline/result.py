@@ -12,12 +12,12 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import LatticePose, on_plane
-from elevator_rectify.core.lattice.refinement import rotations
+from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.outline.pose import FewFit, fit_few
 from elevator_rectify.core.outline.shapes import OutlineFit, OutlineModel
 from elevator_rectify.core.picture.straight_edges import Segments, segments_of, sharpened
 from elevator_rectify.core.result import Geometry, with_geometry
-from elevator_rectify.core.types import Array, GridFit, Image, IntArray, Measurement
+from elevator_rectify.core.types import Array, FitResult, Image, IntArray, Measurement
 
 METHOD = "outlines"
 # Written by `python3 -m elevator_rectify calibrate --outlines`.
@@ -37,7 +37,7 @@ _OFF_LINE, _ANY_PLACE = 0.06, 0.002
 _SAME_TURN_RAD, _TURN_NATS = np.deg2rad(8.0), 3.0
 
 
-def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refused: GridFit) -> GridFit:
+def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refused: FitResult) -> FitResult:
     """Return the pose from the buttons' outlines; `refused`, the result without, where the picture shows none."""
     boxes = np.column_stack([camera.pixels(usable.rays), usable.sizes_px])
     if not (usable.sizes_px > 0).all():
@@ -69,7 +69,7 @@ def _shown(fit: OutlineFit) -> bool:
     return fit.seen >= _LEAST_SEEN and fit.residual_px <= _LARGEST_RESIDUAL_PX
 
 
-def _judged(result: GridFit, config: Config) -> GridFit:
+def _judged(result: FitResult, config: Config) -> FitResult:
     """Return the result with its status, by its tilt's covariance and its confidence."""
     tilt = result.R_camera_panel[:, :2]
     spread = float(np.sqrt(np.linalg.eigvalsh(tilt.T @ result.covariance[3:, 3:] @ tilt)[-1]))
@@ -116,8 +116,8 @@ class Turn:
 
 
 def _result(
-    fit: OutlineFit, turn: Turn, usable: Usable, segments: Segments, refused: GridFit, camera: Camera, config: Config
-) -> GridFit:
+    fit: OutlineFit, turn: Turn, usable: Usable, segments: Segments, refused: FitResult, camera: Camera, config: Config
+) -> FitResult:
     """Return pose, covariance and grid."""
     model = fit.model
     R, height = model.R @ rotations(np.array([[0.0, 0.0, turn.angle_rad]]))[0], 2.0 * float(model.half[-1])

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.lattice.refinement import rotations
+from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.types import Array, Image
 
 # Points on an outline.

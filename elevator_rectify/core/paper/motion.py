@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from elevator_rectify.core.config import MotionConfig
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.types import Array
 
 
@@ -32,17 +32,6 @@ class Motion:
         H = self.R.copy()
         H[:, 2] += self.t
         return H
-
-
-def rotation_angle_rad(R: Array) -> float:
-    """Return the angle of a rotation matrix (3, 3), exact near zero too."""
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
-
-
-def rotation(vector: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a rotation vector (3,) in radians."""
-    return np.asarray(cv2.Rodrigues(np.asarray(vector, dtype=float))[0])
 
 
 # Erratum 7: the printed start (theta = -1, -1, -1; t = .1, .1, .1) is far from any camera's view; zero motion is not.

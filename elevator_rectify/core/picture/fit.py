@@ -11,16 +11,16 @@ from elevator_rectify.core.confidence import logistic_confidence, rotation_std_r
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, pose_at
 from elevator_rectify.core.lattice.refinement import jacobians, projected
-from elevator_rectify.core.paper.motion import rotation_angle_rad
 from elevator_rectify.core.picture.measured import STAGES, MeasuredFit, measure
 from elevator_rectify.core.picture.straight_edges import segments_of, sharpened
 from elevator_rectify.core.picture.widening import widened
 from elevator_rectify.core.result import judged, layout_result
 from elevator_rectify.core.track import posed
-from elevator_rectify.core.types import Array, GridFit, Image, Measurement
+from elevator_rectify.core.types import Array, FitResult, Image, Measurement
 
 # Written by `python3 -m elevator_rectify calibrate --pictures`.
 COEFFICIENTS = Path(__file__).with_name("confidence.json")
@@ -57,21 +57,21 @@ class PictureFit:
     margin between them in nats."""
 
     measured: MeasuredFit
-    result: GridFit
-    other: GridFit | None
+    result: FitResult
+    other: FitResult | None
     margin: float
 
 
 def with_picture(
     fit: JointFit,
-    boxes: GridFit,
+    boxes: FitResult,
     usable: Usable,
     camera: Camera,
     sigma: float,
     image: Image,
     config: Config,
     tracked: bool = False,
-) -> GridFit:
+) -> FitResult:
     """Return the fit to the picture; `boxes`, the fit to the detections, where the picture does not show the buttons.
 
     sigma: of the detections in normalised units; tracked: the fit follows one that was measured, and needs less.
@@ -89,7 +89,7 @@ def with_picture(
 
 def picture_fit(
     fit: JointFit,
-    boxes: GridFit,
+    boxes: FitResult,
     usable: Usable,
     camera: Camera,
     sigma: float,
@@ -123,8 +123,8 @@ def _misfit(measured: MeasuredFit) -> float:
 
 
 def _result(
-    measured: MeasuredFit, boxes: GridFit, usable: Usable, camera: Camera, sigma: float, config: Config
-) -> GridFit:
+    measured: MeasuredFit, boxes: FitResult, usable: Usable, camera: Camera, sigma: float, config: Config
+) -> FitResult:
     """Return pose, covariance, grid and measurement."""
     fit, joint = measured.fit, config.joint
     origin = fit.layout.nodes[0, 0]
@@ -136,7 +136,7 @@ def _result(
     return replace(result, measurement=_measurement(measured, float(result.pitch[0]), camera))
 
 
-def _with_edges(fit: GridFit, image: Image, camera: Camera) -> GridFit:
+def _with_edges(fit: FitResult, image: Image, camera: Camera) -> FitResult:
     """Return the fit turned about its grid's centre as the straight edges that agree with it say."""
     steps = np.linalg.norm(np.diff(fit.grid_px, axis=0), axis=-1)
     segments = segments_of(image, camera, float(np.median(steps)))
@@ -204,7 +204,7 @@ def _boxes_apart(measured: MeasuredFit, usable: Usable, sigma: float) -> tuple[f
     return float(np.log(np.clip(each, 0.1, 20.0))), float(np.log(np.clip(together, 0.1, 20.0)))
 
 
-def picture_features(found: PictureFit, boxes: GridFit, usable: Usable, sigma: float) -> Array:
+def picture_features(found: PictureFit, boxes: FitResult, usable: Usable, sigma: float) -> Array:
     """Return what the confidence of a fit to the picture is computed from, in the order of FEATURES."""
     measured, result = found.measured, found.result
     places, layout = measured.places, measured.fit.layout

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.lattice.refinement import rotations
+from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.types import Array, Image
 
 _LARGEST_PX = 1000

@@ -9,25 +9,30 @@ import numpy as np
 from elevator_rectify.core.config import LabelsConfig
 from elevator_rectify.core.geometry.pose import covariance_at
 from elevator_rectify.core.reading.panel import Reading, as_read
-from elevator_rectify.core.types import Array, Button, GridFit
+from elevator_rectify.core.reading.places import PanelPlaces
+from elevator_rectify.core.types import Array, Button, FitResult
 
 # A button's width over the pitch, where its box has no size.
 _USUAL_SHARE = 0.6
 DEFAULT_LABELS = LabelsConfig()
 
 
-def buttons_of(fit: GridFit, config: LabelsConfig = DEFAULT_LABELS) -> tuple[Button, ...]:
+def buttons_of(fit: FitResult, reading: Reading, config: LabelsConfig) -> tuple[Button, ...]:
     """Return the places of an accepted fit, row by row, then those beside the grid, with what is known of each."""
-    if not fit.ok:
-        return ()
-    where, meant, normal = _where(fit), _meant(fit.reading, config), -fit.R_camera_panel[:, 2]
-    return tuple(_button(fit, where, meant[k], normal, k, config) for k in range(len(meant)))
+    where, meant, normal = _where(fit, reading.places), _meant(reading, config), -fit.R_camera_panel[:, 2]
+    return tuple(_button(fit, reading, where, meant[k], normal, k, config) for k in range(len(meant)))
 
 
 def _button(
-    fit: GridFit, where: _Where, meant: tuple[str, str, float], normal: Array, k: int, config: LabelsConfig
+    fit: FitResult,
+    reading: Reading,
+    where: _Where,
+    meant: tuple[str, str, float],
+    normal: Array,
+    k: int,
+    config: LabelsConfig,
 ) -> Button:
-    places, present = fit.reading.places, float(fit.reading.present[k])
+    places, present = reading.places, float(reading.present[k])
     detection = int(places.detection[k])
     row, column = divmod(k, fit.columns) if k < places.cells else (-1, -1)
     state = "observed" if detection >= 0 else "inferred" if present >= config.min_button else "empty"
@@ -89,21 +94,19 @@ class _Where:
     size: Array
 
 
-def _where(fit: GridFit) -> _Where:
+def _where(fit: FitResult, places: PanelPlaces) -> _Where:
     """Return where the buttons are: cells by the lattice, the others by their detections."""
-    places = fit.reading.places
     point = places.panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
     covariance = covariance_at(fit.covariance, point - fit.t_camera_panel)[:, :3, :3]
-    per_px = _per_px(fit)
+    per_px = _per_px(fit, places)
     # The lattice says nothing of what is beside it: the detection's own error counts.
     across = fit.R_camera_panel[:, :2] * (fit.rms_px * per_px[places.cells :])[:, None]
     covariance[places.cells :] += across @ np.swapaxes(across, 1, 2)
-    return _Where(_image_px(fit), point, covariance, _size(fit, per_px))
+    return _Where(_image_px(fit, places), point, covariance, _size(fit, places, per_px))
 
 
-def _image_px(fit: GridFit) -> Array:
+def _image_px(fit: FitResult, places: PanelPlaces) -> Array:
     """Return the buttons' centres (K, 2) as the picture shows them, or else their cells', or their detections'."""
-    places = fit.reading.places
     cells = fit.grid_px.reshape(-1, 2)
     if fit.measurement is not None:
         seen = fit.measurement.centre_px.reshape(-1, 2)
@@ -112,9 +115,9 @@ def _image_px(fit: GridFit) -> Array:
     return np.concatenate([cells, np.array(beside).reshape(-1, 2)])
 
 
-def _size(fit: GridFit, per_px: Array) -> Array:
+def _size(fit: FitResult, places: PanelPlaces, per_px: Array) -> Array:
     """Return the buttons' widths and heights (K, 2): as measured, or else of their boxes, or the usual ones."""
-    index = fit.reading.places.detection
+    index = places.detection
     if fit.measurement is not None:
         return np.tile(2.0 * fit.measurement.half_size, (len(index), 1))
     if not fit.detections:
@@ -124,9 +127,9 @@ def _size(fit: GridFit, per_px: Array) -> Array:
     return np.where(known[:, None], boxes * per_px, _USUAL_SHARE * float(fit.pitch.min()))
 
 
-def _per_px(fit: GridFit) -> Array:
+def _per_px(fit: FitResult, places: PanelPlaces) -> Array:
     """Return the lengths on the panel (K, 2) of a pixel along a row and along a column, at the places' cells."""
-    places, lengths = fit.reading.places, []
+    lengths = []
     for axis in (1, 0):
         pixels = np.linalg.norm(np.diff(fit.grid_px, axis=axis), axis=2)
         panel = np.linalg.norm(np.diff(fit.grid_panel, axis=axis), axis=2)

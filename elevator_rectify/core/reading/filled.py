@@ -10,7 +10,7 @@ import numpy as np
 
 from elevator_rectify.core.reading.misread import is_number
 from elevator_rectify.core.reading.places import PanelPlaces
-from elevator_rectify.core.types import Array, BoolArray, GridFit, IntArray
+from elevator_rectify.core.types import Array, BoolArray, FitResult, IntArray
 
 # Written by `python3 -m elevator_rectify calibrate --buttons`.
 COEFFICIENTS = Path(__file__).with_name("filled.json")
@@ -49,7 +49,7 @@ FEATURES = (
 _NATS = 5.0
 
 
-def missed(fit: GridFit, places: PanelPlaces, floor_nats: Array) -> Array:
+def missed(fit: FitResult, places: PanelPlaces, floor_nats: Array) -> Array:
     """Return the probability (R C,) that each cell holds a button: 1 where there is a detection, or the picture shows
     one, and of the others as panels are made.
 
@@ -69,7 +69,7 @@ def _model() -> Array:
     return np.array([table["constant"], *(table["coefficients"][name] for name in FEATURES)])
 
 
-def features(fit: GridFit, places: PanelPlaces, floor_nats: Array, empty: IntArray) -> Array:
+def features(fit: FitResult, places: PanelPlaces, floor_nats: Array, empty: IntArray) -> Array:
     """Return (E, F) what `missed` is computed from, in the order of FEATURES, of the cells `empty` (E,)."""
     filled = places.filled[: places.cells].reshape(fit.rows, fit.columns)
     label = np.array(places.label[: places.cells], dtype=object).reshape(filled.shape)

@@ -10,7 +10,7 @@ from elevator_rectify.core.reading.filled import missed
 from elevator_rectify.core.reading.misread import is_number, right_alone
 from elevator_rectify.core.reading.places import PanelPlaces, places_of
 from elevator_rectify.core.reading.sequence import Floors, floors_of
-from elevator_rectify.core.types import Array, BoolArray, GridFit
+from elevator_rectify.core.types import Array, BoolArray, FitResult
 
 # To the floors' order, a cell without a detection is as likely empty as not; `filled` knows panels better.
 _EVEN = 0.5
@@ -35,7 +35,7 @@ class Reading:
     floor_nats: Array
 
 
-def read_panel(fit: GridFit) -> Reading:
+def read_panel(fit: FitResult) -> Reading:
     """Return the reading of a fit that has a grid."""
     places = places_of(fit)
     filled, prior = places.filled, _prior(fit, places)
@@ -47,7 +47,7 @@ def read_panel(fit: GridFit) -> Reading:
     return Reading(places, present, None if floors is None else _scaled(floors, present, filled), nats)
 
 
-def _prior(fit: GridFit, places: PanelPlaces) -> Array:
+def _prior(fit: FitResult, places: PanelPlaces) -> Array:
     """Return (K,) the probability of a button before the panel's layout and its floors are looked at."""
     prior = np.where(places.taken | places.beyond, _NO_CELL, _EVEN)
     if fit.measurement is not None:
@@ -55,7 +55,7 @@ def _prior(fit: GridFit, places: PanelPlaces) -> Array:
     return np.where(places.filled, 1.0, prior)
 
 
-def _present(fit: GridFit, places: PanelPlaces, nats: Array) -> Array:
+def _present(fit: FitResult, places: PanelPlaces, nats: Array) -> Array:
     """Return (K,) the probability of a button, as the panel's layout and its floors' order say."""
     present = np.full(len(nats), _BESIDE)
     found = missed(fit, places, nats[: places.cells])

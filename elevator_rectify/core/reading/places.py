@@ -10,7 +10,7 @@ import numpy as np
 
 from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.reading.labels import canonical
-from elevator_rectify.core.types import Array, BoolArray, Detection, GridFit, IntArray
+from elevator_rectify.core.types import Array, BoolArray, Detection, FitResult, IntArray
 
 # A detection so far from the outer lines, in pitches, is of something else than the panel.
 _REACH = 2.0
@@ -51,7 +51,7 @@ class PanelPlaces:
         return np.asarray((self.detection >= 0) | self.shown)
 
 
-def places_of(fit: GridFit) -> PanelPlaces:
+def places_of(fit: FitResult) -> PanelPlaces:
     """Return the places of a fit that has a grid."""
     ranked, cells = _ranked(fit), fit.grid_panel.reshape(-1, 2)
     detection = _in_cells(fit, ranked)
@@ -79,7 +79,7 @@ def places_of(fit: GridFit) -> PanelPlaces:
     )
 
 
-def _in_cells(fit: GridFit, ranked: list[int]) -> IntArray:
+def _in_cells(fit: FitResult, ranked: list[int]) -> IntArray:
     """Return (R C,) the detection that stands for each cell, -1 for none."""
     detection = np.full(fit.rows * fit.columns, -1, dtype=np.int64)
     for k in reversed(ranked):
@@ -88,7 +88,7 @@ def _in_cells(fit: GridFit, ranked: list[int]) -> IntArray:
     return detection
 
 
-def _ranked(fit: GridFit) -> list[int]:
+def _ranked(fit: FitResult) -> list[int]:
     """Return the detections, those with a label and of higher score first."""
     if not fit.detections:
         return list(range(len(fit.cells)))
@@ -100,7 +100,7 @@ def _score(detection: Detection | None) -> float:
     return float(detection.score) if detection is not None and math.isfinite(detection.score) else 0.0
 
 
-def _beside(fit: GridFit, filled: BoolArray, ranked: list[int]) -> tuple[IntArray, Array]:
+def _beside(fit: FitResult, filled: BoolArray, ranked: list[int]) -> tuple[IntArray, Array]:
     """Return the detections (L,) on the panel's plane, beside its cells but of its buttons' size, and (L, 2) where.
 
     filled (R C,): cells with a detection.
@@ -121,7 +121,7 @@ def _beside(fit: GridFit, filled: BoolArray, ranked: list[int]) -> tuple[IntArra
     return out[index], panel[index]
 
 
-def _usual_size(fit: GridFit, index: IntArray, depth: Array) -> BoolArray:
+def _usual_size(fit: FitResult, index: IntArray, depth: Array) -> BoolArray:
     """Tell which detections, at their depths, are about as large as the grid's buttons; all where sizes are unknown."""
     size = np.sqrt([max(0.0, d.width_px * d.height_px) for d in fit.detections])
     on = fit.cells[:, 0] >= 0
@@ -130,12 +130,12 @@ def _usual_size(fit: GridFit, index: IntArray, depth: Array) -> BoolArray:
     return np.asarray((size[index] <= 0) | (usual <= 0) | ((ratio > _SMALLEST) & (ratio < _LARGEST)))
 
 
-def _distances(fit: GridFit, one: Array, other: Array) -> Array:
+def _distances(fit: FitResult, one: Array, other: Array) -> Array:
     """Return the distances (N, M) of places on the panel in pitches."""
     return np.asarray(np.linalg.norm((one[:, None] - other[None]) / fit.pitch, axis=-1))
 
 
-def _lines(fit: GridFit, panel: Array) -> tuple[Array, Array]:
+def _lines(fit: FitResult, panel: Array) -> tuple[Array, Array]:
     """Return line and at (K, 2) of the cells and of places (L, 2) beside them."""
     row, column = np.divmod(np.arange(fit.rows * fit.columns), fit.columns)
     cells = np.column_stack([row, column]).astype(float)
@@ -156,7 +156,7 @@ def _index(place: Array, lines: Array) -> Array:
     return np.asarray(inside + np.minimum(place - lines[0], 0.0) + np.maximum(place - lines[-1], 0.0))
 
 
-def _beyond(fit: GridFit) -> BoolArray:
+def _beyond(fit: FitResult) -> BoolArray:
     """Return (rows, columns) True for the last cells of staggered lines: half a pitch outside of the box."""
     last = np.zeros((fit.rows, fit.columns), dtype=bool)
     if fit.row_staggered.any() and not fit.row_staggered.all():

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from elevator_rectify.core.config import TargetConfig
+from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.panel import probability_of
-from elevator_rectify.core.types import Array, Button, GridFit
+from elevator_rectify.core.types import Array, Button
 
 DEFAULT_TARGET = TargetConfig()
 # A second button with more than this probability of the label is named as a candidate.

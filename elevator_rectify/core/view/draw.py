@@ -8,7 +8,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from elevator_rectify.core.types import Array, Button, GridFit, Image, Rectification
+from elevator_rectify.core.types import Array, Button, FitResult, Image
+from elevator_rectify.core.view.warp import Rectification
 
 GREEN, RED, AMBER, BLACK, WHITE = (60, 220, 60), (50, 50, 235), (40, 170, 250), (0, 0, 0), (255, 255, 255)
 
@@ -19,7 +20,7 @@ def as_colour(image: Image) -> Image:
 
 
 def draw_overlay(
-    image: Image, centres_px: Array, fit: GridFit, target: Button | None = None, buttons: Sequence[Button] = ()
+    image: Image, centres_px: Array, fit: FitResult, target: Button | None = None, buttons: Sequence[Button] = ()
 ) -> Image:
     """Return the image with detections as green diamonds, grid centres as red crosses, and the status in a line.
 

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 from elevator_rectify.core.config import ViewConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.types import Array, GridFit, Image, Rectification
+from elevator_rectify.core.types import Array, FitResult, Image
 
 DEFAULT_VIEW = ViewConfig()
 
 
-def rectify_image(image: Image, camera: Camera, fit: GridFit, config: ViewConfig = DEFAULT_VIEW) -> Rectification:
+@dataclass(frozen=True)
+class Rectification:
+    """A fronto-parallel view: the image, its exact camera, and the homography from undistorted input pixels."""
+
+    image: Image
+    camera: Camera
+    H_rectified_image: Array
+    R_rectified_camera: Array
+
+
+def rectify_image(image: Image, camera: Camera, fit: FitResult, config: ViewConfig = DEFAULT_VIEW) -> Rectification:
     """Return the fronto-parallel view of the fitted panel, resampled once.
 
     image: (height, width[, channels]) as taken, with the camera's distortion.
@@ -32,7 +44,7 @@ def rectify_image(image: Image, camera: Camera, fit: GridFit, config: ViewConfig
     return Rectification(warped, view, H, R_rectified_camera)
 
 
-def facing_camera(camera: Camera, fit: GridFit, config: ViewConfig = DEFAULT_VIEW) -> Camera:
+def facing_camera(camera: Camera, fit: FitResult, config: ViewConfig = DEFAULT_VIEW) -> Camera:
     """Return the pinhole camera at the same centre that faces the panel and frames it.
 
     Its focal length keeps the pixel density of the input where the panel is seen best (the largest singular value of
@@ -53,14 +65,14 @@ def facing_camera(camera: Camera, fit: GridFit, config: ViewConfig = DEFAULT_VIE
     return Camera.from_matrix(matrix, width, height)
 
 
-def _frame(fit: GridFit, margin_pitch: float) -> Array:
+def _frame(fit: FitResult, margin_pitch: float) -> Array:
     """Return the two corners (2, 2) of the grid in the panel's plane, with the margin."""
     points = fit.grid_panel.reshape(-1, 2)
     margin = margin_pitch * float(fit.pitch.min())
     return np.array([points.min(axis=0) - margin, points.max(axis=0) + margin])
 
 
-def _best_density(camera: Camera, fit: GridFit) -> float:
+def _best_density(camera: Camera, fit: FitResult) -> float:
     """Return the most input pixels per unit of length on the panel, over the grid's cells that are in the image."""
     points = fit.grid_points.reshape(-1, 3)
     step = 1e-3 * float(fit.pitch.min())
