@@ -7,6 +7,7 @@ import pytest
 
 from elevator_rectify.benchmark import program
 from elevator_rectify.benchmark.buttons import run_read
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.missing import entries, run_removed
 from elevator_rectify.benchmark.negatives import KINDS, run_negative
 from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation, true_lattice
@@ -128,7 +129,7 @@ def test_labels_of_a_real_panel_are_corrected_and_missing_buttons_inferred() -> 
 
 @pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")
 def test_photographs_come_out_straight() -> None:
-    table = photographs(DATA)
+    table = photographs(DATA, Figures())
     summary = table.splitlines()[-1]
     accepted, after = int(summary.split()[1]), float(summary.split(" after ")[1].split()[0])
     assert accepted >= 10 and after < 1.0, table

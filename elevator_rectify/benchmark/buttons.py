@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.missing import (
     CONFIG,
     CONSTANT_SCORE,
     REMOVED_HEADER,
     Entry,
+    Inference,
     entries,
     removed_line,
     run_removed,
@@ -97,18 +99,41 @@ def _asked(fit: GridFit, entry: Entry, rng: np.random.Generator) -> tuple[int, i
     return asked, answered, right, absent, wrong
 
 
-def buttons_table(folder: Path, seed: int, repeats: int, yardstick: float) -> str:
+def buttons_table(folder: Path, seed: int, repeats: int, yardstick: float, figures: Figures) -> str:
     """Return the tables of missing buttons and of labels; yardstick: milliseconds that times are divided by."""
     panels = entries(folder)
     lines = [f"{len(panels)} real panels, each {repeats} times", REMOVED_HEADER]
     for share in (0.0, 0.1, 0.2, 0.3):
         tasks = [(p, share, seed + n) for n in range(repeats) for p in panels]
-        lines.append(removed_line(parallel(run_removed, tasks, f"{share:.0%} removed"), share))
+        results = parallel(run_removed, tasks, f"{share:.0%} removed")
+        lines.append(removed_line(results, share))
+        _record_removed(figures, results, f"outlined panels, {share:.0%} removed,")
     for informative in (True, False):
         tasks_read = [(p, seed + n, informative) for n in range(repeats) for p in panels]
         readings = [r for r in parallel(run_read, tasks_read, "labels") if r is not None]
-        lines += _reading_lines(readings, "informative" if informative else "constant")
+        scores = "informative" if informative else "constant"
+        lines += _reading_lines(readings, scores)
+        _record_read(figures, readings, f"outlined panels, scores {scores},")
     return "\n".join([*lines, "\n" + _time_line(panels, seed, yardstick)])
+
+
+def _record_removed(figures: Figures, results: list[Inference], name: str) -> None:
+    judged = [r for r in results if r.accepted]
+    removed, right, wrong = (sum(getattr(r, part) for r in judged) for part in ("removed", "right", "wrong"))
+    figures.share(f"{name} accepted+", len(judged), len(results))
+    figures.share(f"{name} recall+", right, removed)
+    figures.share(f"{name} precision+", right, right + wrong)
+
+
+def _record_read(figures: Figures, readings: list[Reading], name: str) -> None:
+    def total(part: str) -> int:
+        return int(sum(getattr(r, part) for r in readings))
+
+    figures.share(f"{name} floors right+", total("after"), total("floors"))
+    figures.share(f"{name} right ones made wrong-", total("spoilt"), total("floors"))
+    figures.share(f"{name} asked and answered+", total("answered"), total("asked"))
+    figures.share(f"{name} answers right+", total("right"), total("answered"))
+    figures.share(f"{name} answered though absent-", total("absent_answered"), total("absent"))
 
 
 def _time_line(panels: list[Entry], seed: int, yardstick: float) -> str:

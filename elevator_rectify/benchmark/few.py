@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import few_pictured
 from elevator_rectify.core.config import Config, with_values
@@ -46,7 +47,7 @@ def _error_deg(fit: FitResult, normal: Array) -> float:
     return float(np.rad2deg(np.arccos(np.clip(fit.R_camera_panel[:, 2] @ normal, -1.0, 1.0))))
 
 
-def few_table(trials: int, seed: int) -> str:
+def few_table(trials: int, seed: int, figures: Figures) -> str:
     """Return the table of held-out looks."""
     lines = [
         f"{'buttons':<10}{'edges':>6}{'med deg':>9}{'< 3 deg':>9}{'better of two':>15}{'accept':>8}{'ambiguous':>11}"
@@ -63,6 +64,9 @@ def few_table(trials: int, seed: int) -> str:
                 wrong = 100.0 * np.mean(accepted & (error > _WRONG_DEG))
                 askew = 100.0 * np.mean(accepted & (np.array([r.rotation_deg for r in results]) > _WRONG_DEG))
                 ambiguous = np.mean([r.status == "ambiguous" for r in results])
+                name = f"{buttons} {shape} {'with' if edges else 'without'} edges"
+                figures.rate(f"{name} within 3 deg+", error < 3)
+                figures.rate(f"{name} accepted and normal wrong-", accepted & (error > _WRONG_DEG))
                 lines.append(
                     f"{buttons} {shape:<8}{'with' if edges else 'no':>6}{np.median(error):>9.2f}"
                     f"{np.mean(error < 3):>9.2f}{better:>15.2f}{accepted.mean():>8.2f}{ambiguous:>11.2f}"

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from elevator_rectify.benchmark.real import boxes_to_detections, centred_camera, panel_corner
+from elevator_rectify.benchmark.real import boxes_to_detections, panel_size
 from elevator_rectify.core.config import Config, with_values
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.types import Array, BoolArray, Detection, IntArray
-from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
+from elevator_rectify.recordings.make_bag import photograph_camera
 
 # The pitch is assumed: only labels are judged here.
 CONFIG = with_values(Config(), {"scale.column_pitch_m": 0.045, "target.max_lateral_std_m": 1.0})
@@ -43,7 +43,7 @@ def entries(folder: Path) -> list[Entry]:
 
 def _entry(name: str, entry: dict[str, Any]) -> Entry:
     regions = [r for r in entry["regions"] if r["kind"] == "button"]
-    camera = centred_camera(panel_corner(entry), ASSUMED_FOCAL)
+    camera = photograph_camera(panel_size(entry), None)
     boxes = np.array([r["box"] for r in regions]).reshape(-1, 4)
     labels = [canonical(r["text"] or "") for r in regions]
     given = [replace(d, label=t, score=CONSTANT_SCORE) for d, t in zip(boxes_to_detections(boxes), labels, strict=True)]

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, SUCCESS_DEG, Trial, calibration_error, judged
+from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, SUCCESS_DEG, Trial, calibration_error, judged, record
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, FitResult, Image
@@ -114,7 +115,7 @@ HEADER = (
 )
 
 
-def picture_table(levels: list[str], trials: int, seed: int, yardstick: float) -> str:
+def picture_table(levels: list[str], trials: int, seed: int, yardstick: float, figures: Figures) -> str:
     """Return the table of held-out looks: boxes only, with picture, and the oracle of the boxes' centres."""
     lines = [HEADER]
     for level in levels:
@@ -125,8 +126,13 @@ def picture_table(levels: list[str], trials: int, seed: int, yardstick: float) -
         lines.append(
             f"{level:<8}{'oracle':<9}{np.mean(oracle < SUCCESS_DEG):>8.3f}{1.0:>7.3f}{np.median(oracle):>8.2f}"
         )
+        record(figures, f"{level} boxes", [t.boxes for t in results])
+        record(figures, f"{level} picture", [t.picture for t in results])
         lateral = np.concatenate([t.lateral_mm for t in results])
         found, wrong, missed = (sum(getattr(t, name) for t in results) for name in ("found", "wrong", "missed"))
+        figures.median(f"{level} picture lateral mm-", lateral)
+        figures.share(f"{level} picture missed buttons found+", found, missed)
+        figures.share(f"{level} picture buttons shown are real+", found, found + wrong)
         lines.append(
             f"{'':<8}lateral error 0.5 m away: median {np.median(lateral):.2f}, p95 {np.percentile(lateral, 95):.2f} "
             f"mm; buttons missed by the detector: {found} of {missed} shown, {wrong} wrong"
@@ -187,7 +193,7 @@ def run_spoilt(task: tuple[str, str, int, int]) -> tuple[bool, bool, bool]:
     return right, both.accepted, both.right and both.cells >= RIGHT_CELLS
 
 
-def spoilt_table(trials: int, seed: int) -> str:
+def spoilt_table(trials: int, seed: int, figures: Figures) -> str:
     """Return how often a bad picture makes a right fit wrong, or refuses it."""
     lines = [f"{'picture':<12}{'right by boxes':>15}{'then wrong':>11}{'refused':>9}"]
     wrong = right = 0
@@ -197,5 +203,6 @@ def spoilt_table(trials: int, seed: int) -> str:
         made_wrong, refused = sum(a and not ok for _, a, ok in results), sum(not a for _, a, _ in results)
         lines.append(f"{kind:<12}{len(results):>15}{made_wrong:>11}{refused:>9}")
         wrong, right = wrong + made_wrong, right + len(results)
+    figures.share("bad pictures right fits made wrong-", wrong, right)
     lines.append(f"right fits made wrong by a bad picture: {100.0 * wrong / max(1, right):.2f} %")
     return "\n".join(lines)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.types import Array, Detection
-from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
+from elevator_rectify.recordings.make_bag import photograph_camera
 
 _CONFIG = Config()
 
@@ -22,13 +24,6 @@ _CONFIG = Config()
 def boxes_to_detections(boxes: Array) -> list[Detection]:
     """Return detections of boxes (N, 4) xmin, ymin, xmax, ymax."""
     return [Detection(float((a + c) / 2), float((b + d) / 2), float(c - a), float(d - b)) for a, b, c, d in boxes]
-
-
-def centred_camera(size: Array, focal_over_max_size: float) -> Camera:
-    """Return a camera with its principal point in the middle."""
-    width, height = float(size[0]), float(size[1])
-    f = focal_over_max_size * max(width, height)
-    return Camera.from_matrix([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]], int(width), int(height))
 
 
 def edge_deviations_deg(entry: dict[str, Any], H: Array) -> Array:
@@ -47,12 +42,12 @@ def rectifying_map(camera: Camera, fit: GridFit) -> Array:
     return np.asarray(camera.matrix @ fit.R_camera_panel.T @ np.linalg.inv(camera.matrix))
 
 
-def photographs(folder: Path) -> str:
+def photographs(folder: Path, figures: Figures) -> str:
     """Return the table of the photographs: edges before and after, right cells, verdict."""
     entries = json.loads((folder / "photos" / "photos.json").read_text())
     lines, before_all, after_all = [f"{'photo':<7}{'boxes':>6}{'before':>8}{'after':>7}{'cells':>7}  verdict"], [], []
     for name, entry in sorted(entries.items()):
-        camera = centred_camera(np.array(entry["size"]), entry["focal_over_max_size"] or ASSUMED_FOCAL)
+        camera = photograph_camera(entry["size"], entry["focal_over_max_size"])
         fit = fit_panel(boxes_to_detections(np.array(entry["boxes"])), camera, _CONFIG)
         before = edge_deviations_deg(entry, np.eye(3)).mean()
         after = edge_deviations_deg(entry, rectifying_map(camera, fit)).mean() if fit.ok else float("nan")
@@ -63,6 +58,8 @@ def photographs(folder: Path) -> str:
         lines.append(
             f"{name:<7}{len(entry['boxes']):>6}{before:>8.2f}{after:>7.2f}{_cells(entry, fit):>7.2f}  {verdict}"
         )
+    figures.share("photographs boxes accepted+", len(after_all), len(entries))
+    figures.median("photographs boxes edges after deg-", after_all)
     lines.append(
         f"accepted {len(after_all)} of {len(entries)}: edges before {np.mean(before_all):.2f}, after "
         f"{np.mean(after_all):.2f} mean, {np.median(after_all):.2f} median, {np.max(after_all):.2f} worst, degrees"
@@ -81,7 +78,7 @@ def _buttons(entry: dict[str, Any]) -> list[dict[str, Any]]:
     return [region for region in entry["regions"] if region["kind"] == "button"]
 
 
-def mixed(folder: Path) -> str:
+def mixed(folder: Path, figures: Figures) -> str:
     """Return the figures of the 109 panels: accepted, on the lattice, left-out buttons predicted, outlines' shape."""
     entries = json.loads((folder / "panels_mixed.json").read_text())
     judged = accepted = on = total = tried = predicted = 0
@@ -93,7 +90,7 @@ def mixed(folder: Path) -> str:
         if not _judgeable(boxes):
             continue
         judged += 1
-        camera = centred_camera(panel_corner(entry), ASSUMED_FOCAL)
+        camera = photograph_camera(panel_size(entry), None)
         detections = boxes_to_detections(boxes)
         fit = fit_panel(detections, camera, _CONFIG)
         if not fit.ok:
@@ -107,6 +104,8 @@ def mixed(folder: Path) -> str:
         if len(axes) > 3:
             radii = np.sqrt(axes.prod(axis=1))
             spreads.append(float(np.median(np.abs(radii / np.median(radii) - 1.0))))
+    figures.share("outlined panels accepted+", accepted, judged)
+    figures.share("outlined panels left-out button predicted+", predicted, tried)
     return (
         f"panels with six buttons in two rows and two columns: {judged}, accepted {accepted / judged:.3f}\n"
         f"of their buttons on the lattice {on / total:.3f}; left out in turn and predicted within 0.35 of its size "
@@ -116,9 +115,10 @@ def mixed(folder: Path) -> str:
     )
 
 
-def panel_corner(entry: dict[str, Any]) -> Array:
-    """Return the size (2,) of a panel's picture, which is unknown: that of the labelled part, with a margin."""
-    return np.asarray(np.ceil(1.15 * np.array([region["box"] for region in entry["regions"]])[:, 2:].max(axis=0)))
+def panel_size(entry: dict[str, Any]) -> tuple[int, int]:
+    """Return width and height of a panel's picture, which are unknown: those of the labelled part, with a margin."""
+    width, height = np.array([region["box"] for region in entry["regions"]])[:, 2:].max(axis=0)
+    return math.ceil(1.15 * width), math.ceil(1.15 * height)
 
 
 def _judgeable(boxes: Array) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core.config import Config
@@ -71,7 +72,7 @@ def _gone(scene: Scene, detected: IntArray) -> IntArray:
     return np.setdiff1d(np.flatnonzero(inside), detected)
 
 
-def shown_table(levels: list[str], trials: int, seed: int) -> str:
+def shown_table(levels: list[str], trials: int, seed: int, figures: Figures) -> str:
     """Return the table of buttons that the picture shows and no detection does."""
     lines = [f"{'with picture':<13}{'accepted':>9}{'removed':>9}{'recall':>8}{'precision':>11}{'false a panel':>15}"]
     lines[0] += f"{'median distance, pitch':>24}"
@@ -79,6 +80,8 @@ def shown_table(levels: list[str], trials: int, seed: int) -> str:
         results = parallel(run_shown, [(level, seed, n) for n in range(trials)], f"{level} with picture")
         judged = [r for r in results if r.accepted]
         gone, right, wrong = (sum(getattr(r, name) for r in judged) for name in ("gone", "right", "wrong"))
+        figures.share(f"{level} removed buttons found with picture+", right, gone)
+        figures.share(f"{level} inferred buttons real with picture+", right, right + wrong)
         lines.append(
             f"{level:<13}{len(judged) / len(results):>9.3f}{gone:>9}{right / max(1, gone):>8.3f}"
             f"{right / max(1, right + wrong):>11.3f}{wrong / max(1, len(judged)):>15.3f}"

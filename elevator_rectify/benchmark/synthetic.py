@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation
 from elevator_rectify.core.config import Config, with_values
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
@@ -113,6 +114,16 @@ def table_row(level: str, method: str, trials: list[Trial], yardstick_ms: float)
         f"{calibration_error(trials):>7.3f}{np.median(ms):>8.1f}{np.percentile(ms, 95):>8.1f}"
         f"{np.percentile(ms, 95) / yardstick_ms:>9.1f}"
     )
+
+
+def record(figures: Figures, name: str, trials: list[Trial]) -> None:
+    """Add what a table's line says, as far as it has a sampling error."""
+    figures.rate(f"{name} success+", [t.error_deg < SUCCESS_DEG and t.cells >= RIGHT_CELLS for t in trials])
+    figures.rate(f"{name} cells right+", [t.cells >= RIGHT_CELLS for t in trials])
+    figures.rate(f"{name} accepted+", [t.accepted for t in trials])
+    figures.rate(f"{name} gross error among accepted-", [not t.right for t in trials if t.accepted])
+    figures.rate(f"{name} coverage+", [t.mahalanobis2 < _CHI2_3 for t in trials if t.accepted and t.right])
+    figures.median(f"{name} error deg-", [t.error_deg for t in trials])
 
 
 def calibration_error(trials: list[Trial], bins: int = 10) -> float:

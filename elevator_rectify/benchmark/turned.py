@@ -12,14 +12,15 @@ from typing import Any
 import cv2
 import numpy as np
 
+from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.benchmark.real import boxes_to_detections, centred_camera, edge_deviations_deg, rectifying_map
+from elevator_rectify.benchmark.real import boxes_to_detections, edge_deviations_deg, rectifying_map
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, Image
-from elevator_rectify.recordings.make_bag import ASSUMED_FOCAL
+from elevator_rectify.recordings.make_bag import photograph_camera
 
 _CONFIG = Config()
 _LARGEST_TURN_RAD = np.deg2rad(15.0)
@@ -51,7 +52,7 @@ def run_photograph(task: tuple[str, str, int]) -> dict[str, Any]:
     folder, name, turns = Path(task[0]), task[1], task[2]
     entry = json.loads((folder / "photos.json").read_text())[name]
     image = cv2.imread(str(folder / f"{name}.jpg"))
-    camera = centred_camera(np.array(entry["size"]), entry["focal_over_max_size"] or ASSUMED_FOCAL)
+    camera = photograph_camera(entry["size"], entry["focal_over_max_size"])
     boxes, rng = np.array(entry["boxes"], dtype=float), np.random.default_rng([77, len(name), turns])
     line: dict[str, Any] = {"before": edge_deviations_deg(entry, np.eye(3)).mean()}
     for which, picture in (("boxes", None), ("picture", image)):
@@ -73,7 +74,7 @@ def run_photograph(task: tuple[str, str, int]) -> dict[str, Any]:
     return line
 
 
-def turned_table(folder: Path, turns: int) -> str:
+def turned_table(folder: Path, turns: int, figures: Figures) -> str:
     """Return the table of the photographs: edges and spread, by boxes and by picture."""
     names = sorted(json.loads((folder / "photos" / "photos.json").read_text()))
     tasks = [(str(folder / "photos"), name, turns) for name in names]
@@ -89,6 +90,8 @@ def turned_table(folder: Path, turns: int) -> str:
         )
     for which in ("boxes", "picture"):
         after = np.array([r[which] for r in results])
+        figures.rate(f"photographs {which} accepted+", np.isfinite(after))
+        figures.median(f"photographs {which} edges after deg-", after)
         worse = np.nanmax(after - np.array([r["before"] for r in results]))
         lines.append(
             f"{which}: accepted {np.isfinite(after).sum()} of {len(names)}; edges {np.nanmean(after):.2f} mean, "

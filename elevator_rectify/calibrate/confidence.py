@@ -22,11 +22,11 @@ from elevator_rectify.core import confidence
 from elevator_rectify.core.attempts import attempts, best_attempt
 from elevator_rectify.core.confidence import expanded, features
 from elevator_rectify.core.config import Config
-from elevator_rectify.core.detections import Usable, usable_detections
+from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.outline import pose as outline_pose
 from elevator_rectify.core.outline import result as outline_result
 from elevator_rectify.core.picture import fit as picture_fit
-from elevator_rectify.core.pipeline import sigma_px
+from elevator_rectify.core.pipeline import admitted
 from elevator_rectify.core.types import Array, Detection
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene, paper_camera
@@ -65,10 +65,9 @@ def examples(task: tuple[str, int, int]) -> list[Example]:
     else:
         scene = random_scene(LEVELS[kind], seed, number)
         points = scene.centres_px
-    usable = usable_detections(points, camera, _CONFIG.input)
-    if len(usable.index) < _CONFIG.input.min_detections:
+    usable, sigma, refused = admitted(points, camera, _CONFIG)
+    if refused is not None:
         return []
-    sigma = sigma_px(usable, camera, _CONFIG) / camera.focal_px
     best = best_attempt(usable, camera, sigma, _CONFIG)
     if best.fit is None or not np.isfinite(best.result.covariance).all():
         return []
@@ -98,17 +97,13 @@ def picture_examples(task: tuple[str, int, int]) -> list[Example]:
     elif kind in KINDS:
         points, size = KINDS[kind](np.random.default_rng([seed, number, 99])), given.scene.detections[0].width_px
         scene, detections = None, [Detection(float(x), float(y), size, size) for x, y in points]
-    usable = usable_detections(detections, given.scene.camera, _CONFIG.input)
-    if len(usable.index) < _CONFIG.input.min_detections:
-        return []
-    return _searched(given, scene, usable, _WEIGHTS.get(kind, 1.0))
+    usable, sigma, refused = admitted(detections, given.scene.camera, _CONFIG)
+    return [] if refused is not None else _searched(given, scene, usable, sigma, _WEIGHTS.get(kind, 1.0))
 
 
-def _searched(given: Pictured, scene: Scene | None, usable: Usable, weight: float) -> list[Example]:
+def _searched(given: Pictured, scene: Scene | None, usable: Usable, sigma: float, weight: float) -> list[Example]:
     """Return an example of every search that finds a fit, and another pose of it."""
-    camera = given.scene.camera
-    sigma = sigma_px(usable, camera, _CONFIG) / camera.focal_px
-    found = []
+    camera, found = given.scene.camera, []
     for attempt in attempts(usable, camera, sigma, _CONFIG):
         if attempt.fit is None or not np.isfinite(attempt.result.covariance).all():
             continue

@@ -49,21 +49,32 @@ def _fit(
     image: Image | None,
 ) -> FitResult:
     """Run the stages in their order."""
-    usable = usable_detections(detections, camera, config.input)
-    if len(usable.index) < config.input.min_detections:
-        reason = f"{len(usable.index)} usable detections, {config.input.min_detections} needed{_dropped(usable)}"
-        refused = failed_fit("too_few_detections", reason, usable, config)
-        return _by_outlines(usable, camera, config, image, refused)
-    sigma = sigma_px(usable, camera, config) / camera.focal_px
-    if _is_line(usable.rays, 2.0 * sigma):
-        reason = "all detections lie on one line: one row or column has no pose by its centres"
-        refused = failed_fit("collinear", reason, usable, config)
+    usable, sigma, refused = admitted(detections, camera, config)
+    if refused is not None:
         return _by_outlines(usable, camera, config, image, refused)
     if config.method == "joint":
         last = tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
         return last or best_attempt(usable, camera, sigma, config, image).result
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
+
+
+def admitted(
+    detections: Array | Sequence[Detection], camera: Camera, config: Config
+) -> tuple[Usable, float, FitResult | None]:
+    """Return the usable detections, the standard deviation of their rays, and why their centres carry no pose, or None.
+
+    The fit and the calibration of its confidence admit the same detections by this.
+    """
+    usable = usable_detections(detections, camera, config.input)
+    sigma = sigma_px(usable, camera, config) / camera.focal_px
+    if len(usable.index) < config.input.min_detections:
+        reason = f"{len(usable.index)} usable detections, {config.input.min_detections} needed{_dropped(usable)}"
+        return usable, sigma, failed_fit("too_few_detections", reason, usable, config)
+    if _is_line(usable.rays, 2.0 * sigma):
+        reason = "all detections lie on one line: one row or column has no pose by its centres"
+        return usable, sigma, failed_fit("collinear", reason, usable, config)
+    return usable, sigma, None
 
 
 def _by_outlines(usable: Usable, camera: Camera, config: Config, image: Image | None, refused: FitResult) -> FitResult:
@@ -119,7 +130,7 @@ def _as_given(detections: Array | Sequence[Detection]) -> tuple[Detection, ...]:
 def sigma_px(usable: Usable, camera: Camera, config: Config) -> float:
     """Return the standard deviation of the detected centres: of boxes a share of their size, else by the image's."""
     sizes = np.sqrt(usable.sizes_px.prod(axis=1))
-    if (sizes > 0).all():
+    if len(sizes) and (sizes > 0).all():
         return max(config.noise.min_sigma_px, config.noise.sigma_per_size * float(np.median(sizes)))
     return config.noise.sigma_px * max(1.0, max(camera.width, camera.height) / 640.0)
 

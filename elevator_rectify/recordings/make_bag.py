@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.types import Image
 from elevator_rectify.progress import progress
 from elevator_rectify.render.bag import FRAME, header_message, pose_array
 from elevator_rectify.ros.bag import BagWriter, bag_writer, make_bag_message
@@ -26,11 +26,10 @@ ASSUMED_FOCAL = 0.9
 _PERIOD_NS = 1_000_000_000
 
 
-def photograph_camera(image: Image, focal_over_max_size: float) -> Camera:
-    """Return a camera with its principal point in the middle."""
-    height, width = image.shape[:2]
-    f = focal_over_max_size * max(width, height)
-    return Camera.from_matrix([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]], width, height)
+def photograph_camera(size: Sequence[int], focal_over_max_size: float | None) -> Camera:
+    """Return the camera of a photograph, of the usual focal length where it is unknown (None)."""
+    width, height = size
+    return Camera.centred(width, height, (focal_over_max_size or ASSUMED_FOCAL) * max(width, height))
 
 
 def find_picture(folder: Path, name: str) -> Path | None:
@@ -52,7 +51,8 @@ def write_photograph(bag: BagWriter, path: Path, entry: dict[str, Any], focal: f
         make_bag_message(kind, header=header, format="jpeg", data=jpeg.ravel()),
         time_ns,
     )
-    info = camera_info_message(photograph_camera(image, focal), np.eye(3), header, make_bag_message)
+    camera = photograph_camera((image.shape[1], image.shape[0]), focal)
+    info = camera_info_message(camera, np.eye(3), header, make_bag_message)
     bag.write("/camera/camera_info", "sensor_msgs/msg/CameraInfo", info, time_ns + 1)
     boxes = np.array(entry["boxes"], dtype=float).reshape(-1, 4)
     centres = np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2.0, np.zeros(len(boxes))])

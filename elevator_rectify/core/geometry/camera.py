@@ -56,6 +56,15 @@ class Camera:
             )
         return cls(matrix, int(width), int(height), distortion, distortion_model)
 
+    @classmethod
+    def centred(cls, width: int, height: int, focal_px: float) -> Camera:
+        """Build a camera without distortion whose principal point is the middle of the picture.
+
+        The middle of the corner pixel is (0, 0), as OpenCV counts: that of the picture is ((w - 1) / 2, (h - 1) / 2).
+        """
+        K = [[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1]]
+        return cls.from_matrix(K, width, height)
+
     @property
     def focal_px(self) -> float:
         """Return the geometric mean of the two focal lengths."""
