@@ -21,11 +21,13 @@ ROWS = (
     ("core.attempts",),
     ("core.pipeline",),
     ("core",),
-    ("ros", "progress", "train"),
+    ("ros", "progress", "share", "train"),
+    ("arguments",),
     ("render",),
     ("recordings",),
     ("benchmark", "live"),
     ("calibrate",),
+    ("programs",),
     ("__main__",),
 )
 RANK = {room: row for row, rooms in enumerate(ROWS) for room in rooms}

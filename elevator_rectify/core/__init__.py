@@ -1,6 +1,24 @@
 """The mathematics: NumPy and OpenCV, no ROS."""
 
-from elevator_rectify.core.config import Config
+from elevator_rectify.core.config import (
+    AcceptConfig,
+    Config,
+    EmConfig,
+    HypothesesConfig,
+    InputConfig,
+    JointConfig,
+    LabelsConfig,
+    MeasurementConfig,
+    MotionConfig,
+    NoiseConfig,
+    OutlineConfig,
+    RoundsConfig,
+    ScaleConfig,
+    SizeConfig,
+    SmoothingConfig,
+    TargetConfig,
+    ViewConfig,
+)
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel, fit_panels
 from elevator_rectify.core.reading.grid_fit import GridFit
@@ -9,12 +27,28 @@ from elevator_rectify.core.types import Button, Detection
 from elevator_rectify.core.view.warp import Rectification, rectify_image
 
 __all__ = [
+    "AcceptConfig",
     "Button",
     "Camera",
     "Config",
     "Detection",
+    "EmConfig",
     "GridFit",
+    "HypothesesConfig",
+    "InputConfig",
+    "JointConfig",
+    "LabelsConfig",
+    "MeasurementConfig",
+    "MotionConfig",
+    "NoiseConfig",
+    "OutlineConfig",
     "Rectification",
+    "RoundsConfig",
+    "ScaleConfig",
+    "SizeConfig",
+    "SmoothingConfig",
+    "TargetConfig",
+    "ViewConfig",
     "find_button",
     "fit_panel",
     "fit_panels",

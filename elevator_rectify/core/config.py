@@ -6,7 +6,7 @@ The path of a field is its ROS parameter's name: ``Config.em.outlier_share`` is 
 from __future__ import annotations
 
 import math
-from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 METHODS = ("joint", "paper", "paper_as_printed")
@@ -46,7 +46,11 @@ class Checked:
         """Raise ValueError at the first value out of its range."""
         for item in fields(self):
             content = getattr(self, item.name)
-            if not is_dataclass(content):
+            if item.default_factory is not MISSING:
+                if not isinstance(content, type(item.default_factory())):
+                    kind = getattr(item.default_factory, "__name__", "a configuration")
+                    raise ValueError(f"{type(self).__name__}.{item.name} must be a {kind}, not {content!r}")
+            else:
                 check_value(f"{type(self).__name__}.{item.name}", item, content)
 
 
@@ -250,7 +254,7 @@ class ViewConfig(Checked):
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Checked):
     """All that a fit depends on, besides its input."""
 
     method: str = value("joint", "estimator", choices=METHODS)
@@ -270,11 +274,6 @@ class Config:
     labels: LabelsConfig = field(default_factory=LabelsConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for an unknown method."""
-        if self.method not in METHODS:
-            raise ValueError(f"Config.method must be one of {', '.join(METHODS)}, not {self.method!r}")
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, tuple[Field[Any], Any]]:
@@ -301,7 +300,9 @@ def with_values(config: Any, values: dict[str, Any], prefix: str = "") -> Any:
         if rest:
             nested.setdefault(head, {})[rest] = content
         else:
-            changes[head] = content
+            # `column_pitch_m:=1` is an integer to ROS and YAML.
+            whole = isinstance(getattr(config, head), float) and type(content) is int
+            changes[head] = float(content) if whole else content
     for head, inner in nested.items():
         changes[head] = with_values(getattr(config, head), inner, f"{prefix}{head}.")
     return replace(config, **changes)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from elevator_rectify.arguments import add_bag, add_domain, bag_or_sample, positive
 from elevator_rectify.core import fit_panel
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.live.acts import NOTHING, POSE, POSE_OR_SKIPPED, REFUSED, Script
@@ -118,12 +119,16 @@ def _is_count(key: str) -> bool:
 def main(arguments: list[str] | None = None) -> int:
     """Play raw and compressed images; 1 where anything went wrong."""
     parser = argparse.ArgumentParser(prog="chaos", description=__doc__)
-    parser.add_argument("--bag", type=Path, default=Path("bags/paper_5x5"))
-    parser.add_argument("--minutes", type=float, default=2.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--domain", type=int, default=83)
+    add_bag(parser)
+    parser.add_argument("--minutes", type=positive, default=2.0, help="half with raw, half with compressed images")
+    parser.add_argument("--seed", type=int, default=0, help="of the order of what goes wrong")
+    add_domain(parser, 83)
     options = parser.parse_args(arguments)
-    frames, wrong = Frames(options.bag), list[str]()
+    try:
+        frames, wrong = Frames(Path(bag_or_sample(options.bag))), list[str]()
+    except (ValueError, FileNotFoundError) as error:
+        print(f"chaos: {error}", file=sys.stderr)
+        return 2
     for compressed in (False, True):
         wrong += run(frames, 30.0 * options.minutes, options.seed + compressed, compressed, options.domain)
     print("\n".join([f"{len(wrong)} things went wrong", *wrong[:20]]))

@@ -18,11 +18,13 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from elevator_rectify.arguments import add_bag, add_domain, bag_or_sample
 from elevator_rectify.recordings.replay import OUTPUT_PREFIX, InputTopics, find_topics
 from elevator_rectify.recordings.report import Outcome, write_report
 from elevator_rectify.ros.bag import BagWriter, bag_topics, bag_writer
 from elevator_rectify.ros.messages import ros_type
 from elevator_rectify.ros.output import TOPICS
+from elevator_rectify.share import share_file
 
 # Outputs come in bursts of a picture each; the recorder must not lose any.
 _RECORD_DEPTH = 100
@@ -31,11 +33,9 @@ _START_SECONDS, _SETTLE_SECONDS = 60.0, 2.0
 
 
 def dds_environment(domain: int) -> dict[str, str]:
-    """Return the environment of a graph of its own on this machine, with the shared-memory profile where found."""
+    """Return the environment of a graph of its own on this machine, with the shared-memory profile."""
     environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}
-    profile = Path(__file__).parent.parent.parent / "config" / "fastdds.xml"
-    if profile.exists():
-        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+    environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share_file("config/fastdds.xml"))
     return environment
 
 
@@ -155,16 +155,16 @@ def timings(outcomes: list[Outcome]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line: the live demo."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
-    parser.add_argument("bag", type=Path, nargs="?", default=Path("bags/paper_5x5"))
-    parser.add_argument("--output", type=Path, default=Path("out/demo"))
-    parser.add_argument("--domain", type=int, default=77, help="ROS_DOMAIN_ID of the demo")
+    add_bag(parser, "bag")
+    parser.add_argument("--output", type=Path, default=Path("out/demo"), help="folder for the bag, pictures and table")
+    add_domain(parser, 77)
     parser.add_argument("--param", action="append", default=[], metavar="NAME:=VALUE", help="a parameter of the node")
     options = parser.parse_args(arguments)
     if options.output.exists():
         options.output = options.output.with_name(f"{options.output.name}_{time.strftime('%Y%m%d_%H%M%S')}")
     node_arguments: list[Any] = [part for assignment in options.param for part in ("-p", assignment)]
     try:
-        return run(options.bag, options.output, options.domain, node_arguments)
-    except (ValueError, TimeoutError) as error:
+        return run(Path(bag_or_sample(options.bag)), options.output, options.domain, node_arguments)
+    except (ValueError, TimeoutError, FileNotFoundError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2

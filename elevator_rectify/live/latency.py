@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from elevator_rectify.arguments import add_domain, add_load, bag_or_sample
 from elevator_rectify.live.driver import Driver, cpu_seconds, driven
 from elevator_rectify.live.frames import Frames
 from elevator_rectify.progress import progress
@@ -80,16 +81,16 @@ def table(rows: dict[str, Row]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 1 where the node left a frame without an answer."""
     parser = argparse.ArgumentParser(prog="latency", description=__doc__)
-    parser.add_argument("--bag", type=Path, default=Path("bags/paper_5x5"))
-    parser.add_argument("--frames", type=int, default=900)
-    parser.add_argument("--rate", type=float, default=30.0)
-    parser.add_argument("--size", default="640x480")
-    parser.add_argument("--domain", type=int, default=81)
+    add_load(parser, 900)
+    add_domain(parser, 81)
     options = parser.parse_args(arguments)
-    width, height = (int(side) for side in options.size.split("x"))
-    frames = Frames(options.bag, width, height)
+    try:
+        frames = Frames(Path(bag_or_sample(options.bag)), *options.size)
+    except (ValueError, FileNotFoundError) as error:
+        print(f"latency: {error}", file=sys.stderr)
+        return 2
     rows = {name: measure(name, frames, options.frames, options.rate, options.domain) for name in RUNS}
-    print(f"{options.size} at {options.rate:g} Hz, {options.frames} frames a run")
+    print(f"{options.size[0]}x{options.size[1]} at {options.rate:g} Hz, {options.frames} frames a run")
     print(table(rows))
     return 0 if all(row.answered == 1.0 for row in rows.values()) else 1
 

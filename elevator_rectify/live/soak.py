@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from elevator_rectify.arguments import add_domain, add_load, bag_or_sample
 from elevator_rectify.live.driver import Driver, driven, resident_megabytes
 from elevator_rectify.live.frames import Frames
 from elevator_rectify.live.latency import RUNS
@@ -24,14 +25,14 @@ HEADER = f"{'frames':>8}{'memory MB':>11}{'answered':>10}{'Hz':>7}{'med ms':>8}{
 def main(arguments: list[str] | None = None) -> int:
     """Print a row for every tenth; 1 where memory grew or a frame was left without an answer."""
     parser = argparse.ArgumentParser(prog="soak", description=__doc__)
-    parser.add_argument("--bag", type=Path, default=Path("bags/paper_5x5"))
-    parser.add_argument("--frames", type=int, default=20000)
-    parser.add_argument("--rate", type=float, default=30.0)
-    parser.add_argument("--size", default="640x480")
-    parser.add_argument("--domain", type=int, default=82)
+    add_load(parser, 20000)
+    add_domain(parser, 82)
     options = parser.parse_args(arguments)
-    width, height = (int(side) for side in options.size.split("x"))
-    frames = Frames(options.bag, width, height)
+    try:
+        frames = Frames(Path(bag_or_sample(options.bag)), *options.size)
+    except (ValueError, FileNotFoundError) as error:
+        print(f"soak: {error}", file=sys.stderr)
+        return 2
     command, listen, _ = RUNS["node"]
     driver, memory, sent = Driver(options.domain, listen), list[float](), dict[int, float]()
     print(HEADER, flush=True)

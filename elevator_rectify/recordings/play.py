@@ -13,9 +13,10 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from elevator_rectify.arguments import positive
 from elevator_rectify.core.types import Image
 from elevator_rectify.ros.bag import BadBag, Record, bag_topics, read_bag
-from elevator_rectify.ros.messages import make_ros, ros_type
+from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.output import image_message
 from elevator_rectify.ros.pictures import image_from_message
 from elevator_rectify.ros.poses import ros_header
@@ -40,12 +41,16 @@ class Player:
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         for topic, (kind, _) in topics.items():
             name, live_kind = live_topic(topic, kind)
+            if not installed(live_kind):
+                print(f"play: {topic} is left out, {live_kind.split('/')[0]} is not installed", file=sys.stderr)
+                continue
             self._publishers[topic] = node.create_publisher(ros_type(live_kind), name, qos)
 
     def wait_for_listeners(self, topics: set[str], seconds: float) -> bool:
         """Wait until somebody subscribes to each of the recorded topics."""
         deadline = time.monotonic() + seconds
-        while any(not self._publishers[topic].get_subscription_count() for topic in topics):
+        awaited = [self._publishers[topic] for topic in topics if topic in self._publishers]
+        while any(not publisher.get_subscription_count() for publisher in awaited):
             if time.monotonic() > deadline:
                 return False
             time.sleep(0.05)
@@ -53,6 +58,8 @@ class Player:
 
     def play(self, record: Record) -> None:
         """Publish one record."""
+        if record.topic not in self._publishers:
+            return
         content = as_raw_image(record.message) if record.kind == _COMPRESSED else record.data
         self._publishers[record.topic].publish(content)
 
@@ -66,7 +73,10 @@ def as_raw_image(message: Any) -> Any:
 def play(path: Path, rate: float, wait_for: set[str], seconds: float) -> None:
     """Play the whole bag. Raises BadBag where it breaks off, TimeoutError where nobody listens."""
     node = rclpy.create_node("elevator_rectify_player")
-    player = Player(node, bag_topics(path))
+    topics = bag_topics(path)
+    if unknown := sorted(wait_for - topics.keys()):
+        raise BadBag(f"{path} has no topic {', '.join(unknown)} to wait for; it has {', '.join(sorted(topics))}")
+    player = Player(node, topics)
     if not player.wait_for_listeners(wait_for, seconds):
         raise TimeoutError(f"nobody subscribed to all of {', '.join(sorted(wait_for))} within {seconds:g} s")
     # The listeners may learn of the player a little later than it of them.
@@ -83,12 +93,12 @@ def play(path: Path, rate: float, wait_for: set[str], seconds: float) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Command line: play a bag."""
     parser = argparse.ArgumentParser(prog="play", description=__doc__)
-    parser.add_argument("bag", type=Path)
-    parser.add_argument("--rate", type=float, default=1.0, help="speed, 1: as recorded")
+    parser.add_argument("bag", type=Path, help="folder of the bag")
+    parser.add_argument("--rate", type=positive, default=1.0, help="speed, 1: as recorded")
     parser.add_argument(
         "--wait-for", nargs="*", default=[], metavar="TOPIC", help="recorded topics that must have a subscriber first"
     )
-    parser.add_argument("--wait-seconds", type=float, default=20.0)
+    parser.add_argument("--wait-seconds", type=positive, default=20.0, help="how long to wait for them")
     options = parser.parse_args(arguments)
     rclpy.init()
     try:

@@ -22,6 +22,7 @@ from elevator_rectify.ros.output import TOPICS, output_messages
 from elevator_rectify.ros.pairing import Frame, Pairing
 
 OUTPUT_PREFIX = "/elevator_rectify/"
+_TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 _SINGLE_IMAGES = NodeConfig(track=False)
 
 
@@ -110,7 +111,7 @@ def _answer_into(bag: BagWriter, frame: Frame, config: Config, time_ns: int) -> 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="replay", description=__doc__)
-    parser.add_argument("bag", type=Path)
+    parser.add_argument("bag", type=Path, help="folder of the bag")
     parser.add_argument("--output", type=Path, default=Path("out/replay"), help="folder for bags, pictures and table")
     parser.add_argument("--method", default=Config().method, help=f"one or several of {','.join(METHODS)}")
     parser.add_argument(
@@ -128,10 +129,21 @@ def _config(assignments: list[str]) -> Config:
         path, _, text = assignment.partition("=")
         if path not in flatten(config):
             raise ValueError(f"there is no parameter '{path}'")
-        kind: Any = type(flatten(config)[path][1])
-        values[path] = kind(text)
+        values[path] = _value(path, text, type(flatten(config)[path][1]))
     changed: Config = with_values(config, values)
     return changed
+
+
+def _value(path: str, text: str, kind: Any) -> Any:
+    """Return the text as a value of that kind. Raises ValueError naming the parameter."""
+    if kind is bool:
+        if text.lower() not in _TRUE + _FALSE:
+            raise ValueError(f"{path} must be true or false, not '{text}'")
+        return text.lower() in _TRUE
+    try:
+        return kind(text)
+    except ValueError as error:
+        raise ValueError(f"{path} must be {kind.__name__}, not '{text}'") from error
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from elevator_rectify.arguments import count
 from elevator_rectify.core.types import Array, Image
 from elevator_rectify.progress import progress
 from elevator_rectify.render.panel import Panel, paper_panels
@@ -108,9 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line: render a bag."""
     parser = argparse.ArgumentParser(prog="render", description=__doc__)
     parser.add_argument("bag", type=Path, help="folder to write")
-    parser.add_argument("--elevators", type=int, default=5)
-    parser.add_argument("--views", type=int, default=5, help="pictures of each elevator")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--elevators", type=count, default=5, help="elevators that are shown")
+    parser.add_argument("--views", type=count, default=5, help="pictures of each elevator")
+    parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same bytes")
     options = parser.parse_args(arguments)
     try:
         render_bag(options.bag, options.elevators, options.views, options.seed)

@@ -21,7 +21,13 @@ from elevator_rectify.core.types import Array, Button, Detection, Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import Rectification, rectify_image
 from elevator_rectify.ros.config import DEFAULT_NODE, NodeConfig
-from elevator_rectify.ros.convert import camera_from_message, detections_from_message, stamp_ns
+from elevator_rectify.ros.convert import (
+    NUMBER_IDS,
+    camera_from_message,
+    detections_from_message,
+    has_number_ids,
+    stamp_ns,
+)
 from elevator_rectify.ros.pairing import Frame
 from elevator_rectify.ros.pictures import BadMessage, check_image, depth_from_message, image_from_message
 
@@ -99,7 +105,7 @@ def answer_frame(
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
     watch.lap("fit")
-    choice = find_button(fit, target, config.target) if target else None
+    choice = _chosen(fit, target, config, node, frame.detections) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
         view = rectify_image(given.image, given.camera, fit, config.view)
@@ -119,6 +125,15 @@ def answer_frame(
     answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track
+
+
+def _chosen(fit: GridFit, target: str, config: Config, node: NodeConfig, detections: Any) -> Choice:
+    """Return the button that is asked for; where no label is known, the reason names the parameter that may be it."""
+    choice = find_button(fit, target, config.target)
+    settled = node.detections.numbers_are_labels or node.detections.labels
+    if choice.status != "unknown_label" or settled or not has_number_ids(detections):
+        return choice
+    return replace(choice, reason=f"{choice.reason}; {NUMBER_IDS}")
 
 
 def _with_drawings(answer: Answer, given: Inputs, wanted: Collection[str]) -> Answer:

@@ -13,6 +13,10 @@ from elevator_rectify.ros.config import DEFAULT_NODE, DetectionsConfig
 from elevator_rectify.ros.pictures import BadMessage
 
 _LONGEST_LABEL = 32
+NUMBER_IDS = (
+    "the detections' class ids are bare numbers, which may be labels or indices: set detections.numbers_are_labels, or "
+    "detections.labels"
+)
 _NUMBER = re.compile(r"[+-]?\d+")
 
 
@@ -95,23 +99,33 @@ def class_labels(text: str) -> dict[str, str]:
     return labels
 
 
+def has_number_ids(message: Any) -> bool:
+    """Tell whether a message's classes are bare numbers, of which nobody can tell whether they are labels."""
+    found = [_named(item)[:2] for item in getattr(message, "detections", ())]
+    return any(name == number and _NUMBER.fullmatch(name) for name, number in found)
+
+
+def _named(item: Any) -> tuple[str, str, float]:
+    """Return the class name, the class id and the score of a detection's best hypothesis."""
+    if not hasattr(item, "results"):
+        return str(item.class_name), str(item.class_id), float(item.score)
+    best = max((r.hypothesis for r in item.results), key=lambda h: np.nan_to_num(h.score, nan=-1.0), default=None)
+    return ("", "", 1.0) if best is None else (str(best.class_id), str(best.class_id), float(best.score))
+
+
 def _detection(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> Detection:
     """Return one vision_msgs or yolo_msgs detection."""
     box = item.bbox
     width, height = (box.size.x, box.size.y) if hasattr(box, "size") else (box.size_x, box.size_y)
     theta = float(getattr(box.center, "theta", 0.0))
     cosine, sine = abs(np.cos(theta)), abs(np.sin(theta))
-    if hasattr(item, "results"):
-        best = max((r.hypothesis for r in item.results), key=lambda h: np.nan_to_num(h.score, nan=-1.0), default=None)
-        name, number, score = ("", "", 1.0) if best is None else (best.class_id, best.class_id, float(best.score))
-    else:
-        name, number, score = item.class_name, str(item.class_id), float(item.score)
+    name, number, score = _named(item)
     return Detection(
         float(box.center.position.x),
         float(box.center.position.y),
         float(width * cosine + height * sine),
         float(width * sine + height * cosine),
-        _label(str(name), str(number), labels, numbers_are_labels),
+        _label(name, number, labels, numbers_are_labels),
         score,
     )
 

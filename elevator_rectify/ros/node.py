@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Any
@@ -21,6 +22,7 @@ from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.convert import class_labels, stamp_ns
+from elevator_rectify.ros.hints import Hints, Silence
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.output import (
     BUTTONS,
@@ -35,7 +37,15 @@ from elevator_rectify.ros.pairing import Frame, Pairing
 from elevator_rectify.ros.parameters import changed, declare
 from elevator_rectify.ros.poses import ros_header
 from elevator_rectify.ros.statistics import Statistics
-from elevator_rectify.ros.subscribe import DetectionsSubscriber, described, output_qos, overridable, subscribe
+from elevator_rectify.ros.subscribe import (
+    DetectionsSubscriber,
+    compressed_topic,
+    described,
+    latched_qos,
+    output_qos,
+    overridable,
+    subscribe,
+)
 from elevator_rectify.ros.waiting import Waiting
 
 _SIGNAL_SECONDS = 0.1
@@ -54,6 +64,7 @@ class ElevatorRectify(Node):
         self.add_on_set_parameters_callback(self._on_parameters)
         self.pairing = Pairing(self.node_config.pairing)
         self.statistics = Statistics()
+        self._hints = Hints(self.node_config)
         self._target = ""
         self._track: tuple[int, Track | None] = (0, None)
         self._waiting = Waiting(self.node_config.max_waiting)
@@ -97,14 +108,16 @@ class ElevatorRectify(Node):
     def _subscribe_all(self) -> None:
         image = ("sensor_msgs/msg/Image", "image")
         if self.node_config.image_transport == "compressed":
-            image = ("sensor_msgs/msg/CompressedImage", "image/compressed")
+            image = ("sensor_msgs/msg/CompressedImage", compressed_topic(self))
         streams = [(*image, self.pairing.add_image)]
         streams.append(("sensor_msgs/msg/CameraInfo", "camera_info", self.pairing.add_camera_info))
         if self.node_config.use_depth:
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
         for kind, topic, add in streams:
             subscribe(self, kind, topic, self._feeding(add))
-        self.create_subscription(ros_type("std_msgs/msg/String"), "~/target", self._on_target, output_qos())
+        # A target set before the node started is that of a latched publisher.
+        for qos in (output_qos(), latched_qos()):
+            self.create_subscription(ros_type("std_msgs/msg/String"), "~/target", self._on_target, qos)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._detections = DetectionsSubscriber(
             self,
@@ -112,6 +125,9 @@ class ElevatorRectify(Node):
             self._feeding(self.pairing.add_detections),
             steady,
         )
+        topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}
+        self._silence = Silence({name: self.resolve_topic_name(topic) for name, topic in topics.items()})
+        self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
         self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=steady)
 
     def _on_target(self, message: Any) -> None:
@@ -148,6 +164,8 @@ class ElevatorRectify(Node):
         if jumps != self.pairing.jumps:
             jumps, track = self.pairing.jumps, None
         answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target)
+        for hint in self._hints.of(answer, frame.detections, self.pairing.received["depth"]):
+            self.get_logger().warning(hint)
         self._track = jumps, track
         self._publish(answer)
 
@@ -158,7 +176,7 @@ class ElevatorRectify(Node):
             self._outputs[topic].publish(message)
             answer.stopwatch.lap("publish")
         if self._tf is not None and answer.fit.ok and answer.fit.metric:
-            frame, header = self.node_config.panel_frame, ros_header(answer.header, make_ros)
+            frame, header = panel_frame(self), ros_header(answer.header, make_ros)
             self._tf.publish(tf_message(answer.fit, frame, header, make_ros))
 
     def _listened(self, topic: str) -> bool:
@@ -175,7 +193,10 @@ class ElevatorRectify(Node):
     def _diagnose(self) -> None:
         """Publish the counts, once a second."""
         values = self.statistics.values(self.pairing, _DIAGNOSTICS_SECONDS)
-        values["detections type"] = self._detections.type or "none published"
+        values["detections type"] = self._detections.type if self._detections.published else "none published"
+        silence = self._silence.look(self.pairing, self.statistics.frames, time.monotonic())
+        if silence:
+            self.get_logger().warning(silence)
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostics_message(self.get_fully_qualified_name(), values, now, make_ros))
 
@@ -191,6 +212,12 @@ class ElevatorRectify(Node):
             verdicts, dropped = dict(self.statistics.verdicts), dict(self.pairing.dropped)
             self.get_logger().info(f"answered or refused: {verdicts}, dropped: {dropped}")
         self.destroy_node()
+
+
+def panel_frame(node: ElevatorRectify) -> str:
+    """Return the name of the panel's frame: below the node's namespace, so that two cameras have one each."""
+    name = node.node_config.panel_frame
+    return name if name.startswith("/") else f"{node.get_namespace()}/{name}".lstrip("/")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

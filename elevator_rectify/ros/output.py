@@ -192,9 +192,11 @@ def status_message(answer: Answer, make: Make) -> Any:
 
 
 def diagnostics_message(name: str, values: dict[str, str], now: Any, make: Make) -> Any:
-    """Return the DiagnosticArray of the node: a warning where nothing was accepted."""
-    share = values["share accepted"]
-    level, text = (b"\x00", "accepts frames") if share and float(share) > 0 else (b"\x01", "no frame accepted yet")
+    """Return the DiagnosticArray of the node, by its last seconds: stale without frames, a warning if none is good."""
+    frames, accepted = (int(values[f"{what} in the last seconds"]) for what in ("frames", "accepted"))
+    level, text = (b"\x00", "accepts frames") if accepted else (b"\x01", "no frame was accepted in the last seconds")
+    if not frames:
+        level, text = b"\x03", "no frame came in the last seconds"
     pairs = [make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
     status = make(
         "diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="", values=pairs

@@ -39,6 +39,7 @@ class Pairing:
         self.dropped: Counter[str] = Counter()
         self.received: Counter[str] = Counter({"image": 0, "camera_info": 0, "detections": 0})
         self.jumps = 0
+        self.newest: dict[str, int] = {}
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._detections: OrderedDict[int, Any] = OrderedDict()
         self._infos: OrderedDict[int, Any] = OrderedDict()
@@ -50,8 +51,7 @@ class Pairing:
 
     def add_image(self, message: Any) -> list[Frame]:
         """Buffer an image; the oldest ones give way when count or bytes exceed the bounds."""
-        stamp = stamp_ns(message.header)
-        self.received["image"] += 1
+        stamp = self._received("image", message)
         if self._newest_ns is not None and stamp < self._newest_ns - 1e9 * self.config.jump_s:
             self._clock_went_back(stamp)
         self._newest_ns = stamp if self._newest_ns is None else max(self._newest_ns, stamp)
@@ -67,20 +67,17 @@ class Pairing:
 
     def add_camera_info(self, message: Any) -> list[Frame]:
         """Keep a camera info."""
-        self.received["camera_info"] += 1
-        _keep(self._infos, stamp_ns(message.header), message, self.config.max_images)
+        _keep(self._infos, self._received("camera_info", message), message, self.config.max_images)
         return self._complete()
 
     def add_depth(self, message: Any) -> list[Frame]:
         """Keep a depth image for the frame of its stamp."""
-        self.received["depth"] += 1
-        _keep(self._depths, stamp_ns(message.header), message, self.config.max_images)
+        _keep(self._depths, self._received("depth", message), message, self.config.max_images)
         return []
 
     def add_detections(self, message: Any) -> list[Frame]:
         """Buffer a detection message."""
-        stamp = stamp_ns(message.header)
-        self.received["detections"] += 1
+        stamp = self._received("detections", message)
         if stamp in self._detections or stamp in self._done:
             self.dropped["detections with a repeated stamp"] += 1
             return []
@@ -89,6 +86,17 @@ class Pairing:
             self._detections.popitem(last=False)
             self.dropped["detections without image"] += 1
         return self._complete()
+
+    def _received(self, topic: str, message: Any) -> int:
+        """Count the message; return its stamp in ns."""
+        self.received[topic] += 1
+        self.newest[topic] = stamp_ns(message.header)
+        return self.newest[topic]
+
+    @property
+    def has_camera_info(self) -> bool:
+        """Tell whether any camera info is kept."""
+        return bool(self._infos)
 
     def _clock_went_back(self, now: int) -> None:
         """Empty the buffers; what is of the new time already, ahead of its image, stays, and so does the last info."""

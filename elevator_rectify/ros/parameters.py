@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from dataclasses import Field
 from typing import Any
@@ -14,6 +15,8 @@ from elevator_rectify.core.config import Config, flatten, with_values
 from elevator_rectify.ros.config import NodeConfig
 
 _INT_LIMIT = 2**31 - 1
+# Parameters that every node has, and those of QoS overrides, which are declared with their topics.
+_STANDARD = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 
 
 def declare(node: Node) -> tuple[NodeConfig, Config]:
@@ -23,7 +26,18 @@ def declare(node: Node) -> tuple[NodeConfig, Config]:
     """
     node_config = _declared(node, NodeConfig(), read_only=True)
     config = _declared(node, Config(), read_only=False)
+    _refuse_unknown(node)
     return node_config, config
+
+
+def _refuse_unknown(node: Node) -> None:
+    """Raise ValueError for parameters given by -p or a file that are none: a misspelt one would change nothing."""
+    known = [*flatten(NodeConfig()), *flatten(Config())]
+    # Public rclpy has no way to list what was given, but not declared.
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not name.startswith(_STANDARD):
+            near = difflib.get_close_matches(name, known, 1)
+            raise ValueError(f"there is no parameter '{name:.80}'" + (f"; did you mean '{near[0]}'?" if near else ""))
 
 
 def _declared(node: Node, defaults: Any, read_only: bool) -> Any:
@@ -36,6 +50,8 @@ def _declared(node: Node, defaults: Any, read_only: bool) -> Any:
 def _descriptor(item: Field[Any], read_only: bool) -> ParameterDescriptor:
     meta = item.metadata
     descriptor = ParameterDescriptor(description=meta["meaning"], read_only=read_only)
+    # `column_pitch_m:=1` is an integer to ROS: our own check takes it for the float that is meant.
+    descriptor.dynamic_typing = isinstance(item.default, float)
     if meta["choices"]:
         descriptor.additional_constraints = "one of " + ", ".join(meta["choices"])
     elif isinstance(item.default, int) and not isinstance(item.default, bool):

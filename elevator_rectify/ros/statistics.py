@@ -10,6 +10,8 @@ import numpy as np
 from elevator_rectify.ros.pairing import Pairing
 
 _LATENCIES = 300
+# The diagnostics tell of so many seconds.
+_RECENT_SECONDS = 5
 # A stamp further from now is of another clock: a bag, or a camera that is not synchronised.
 _LONGEST_AGE_MS = 60e3
 
@@ -23,7 +25,13 @@ class Statistics:
         self._compute_ms: deque[float] = deque(maxlen=_LATENCIES)
         self._age_ms: deque[float] = deque(maxlen=_LATENCIES)
         self._before: Counter[str] = Counter()
+        self._recent: deque[Counter[str]] = deque([Counter()], maxlen=_RECENT_SECONDS + 1)
         self._lock = threading.Lock()
+
+    @property
+    def frames(self) -> int:
+        """Return how many frames were answered or refused."""
+        return self.verdicts.total()
 
     def add(self, status: str, reason: str, compute_ms: float, age_ms: float) -> None:
         """Book one answered, refused or skipped frame; age: from the image's stamp to the answer."""
@@ -44,11 +52,15 @@ class Statistics:
             rates = {f"{name} per second": f"{(n - self._before[name]) / seconds:.1f}" for name, n in counts.items()}
             self._before = counts
             total = self.verdicts.total()
+            recent = self.verdicts - self._recent[0]
+            self._recent.append(Counter(self.verdicts))
             return {
                 **{name: str(n) for name, n in sorted(counts.items())},
                 **rates,
                 **{f"dropped {reason}": str(n) for reason, n in sorted(pairing.dropped.items())},
                 **{name: str(n) for name, n in sorted(pairing.waiting().items())},
+                "frames in the last seconds": str(recent.total()),
+                "accepted in the last seconds": str(recent["ok"]),
                 "share accepted": f"{self.verdicts['ok'] / total:.3f}" if total else "",
                 "compute ms median, p95": _two(self._compute_ms),
                 "age ms median, p95": _two(self._age_ms),

@@ -7,7 +7,14 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from elevator_rectify.ros.config import DETECTION_TYPES
@@ -29,9 +36,22 @@ def output_qos() -> QoSProfile:
     return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 
 
+def latched_qos() -> QoSProfile:
+    """Return the profile that receives what was published before the node started, of latched publishers only."""
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def compressed_topic(node: Node) -> str:
+    """Return the name of the compressed image: the remapped one, or the remapped image's with /compressed behind it."""
+    name = "image/compressed"
+    remapped = node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True)
+    return name if remapped else node.resolve_topic_name("image") + "/compressed"
+
+
 def overridable() -> QoSOverridingOptions:
-    """Let the standard qos_overrides parameters change history, depth and reliability."""
-    return QoSOverridingOptions.with_default_policies()
+    """Let the standard qos_overrides parameters change history, depth, reliability and durability."""
+    kinds = QoSPolicyKind
+    return QoSOverridingOptions([kinds.HISTORY, kinds.DEPTH, kinds.RELIABILITY, kinds.DURABILITY])
 
 
 def described(qos: QoSProfile) -> str:
@@ -77,16 +97,22 @@ class DetectionsSubscriber:
         self.type = ""
         self._subscription: Any = None
         self._said = ""
+        self.published = False
+        if self._wanted is None:
+            # Until a detector shows its type: `ros2 node info` lists the topic from the start.
+            self._subscribe(DETECTION_TYPES["pose_array"])
         self._look()
         self._timer = node.create_timer(_LOOK_SECONDS, self._look, clock=clock)
 
     def _look(self) -> None:
         """Subscribe to the published type; when a detector of another type takes over, follow it."""
         published = [i.topic_type for i in self._node.get_publishers_info_by_topic(self._name)]
+        self.published = self.type in published
         if self._wanted is not None:
             self._subscribe(self._wanted)
         elif self.type not in published:
             known = [kind for kind in published if kind in DETECTION_TYPES.values()]
+            self.published = bool(known)
             if known:
                 self._subscribe(known[0])
             elif published:
