@@ -8,10 +8,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from elevator_rectify.core import Detection
 from elevator_rectify.recordings import make_bag, replay
 from elevator_rectify.recordings.report import read_outcomes
 from elevator_rectify.render import bag as render
 from elevator_rectify.ros.bag import BadBag, bag_topics, bag_writer, read_bag
+from elevator_rectify.ros.config import DetectionsConfig
+from elevator_rectify.ros.convert import detections_from_message
 from elevator_rectify.ros.messages import MakeRosbags
 from elevator_rectify.ros.output import TOPICS
 
@@ -125,6 +128,37 @@ def test_make_bag_from_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (info,) = read_bag(tmp_path / "bag", {"/camera/camera_info"})
     assert info.message.k[0] == pytest.approx(0.9 * 80)
     assert make_bag.main([str(tmp_path), str(tmp_path / "none.json"), str(tmp_path / "b2")]) == 2
+
+
+def test_make_bag_keeps_sizes_labels_scores_and_names(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "one.PNG"), np.full((60, 80, 3), 90, np.uint8))
+    boxes = {"one": {"boxes": [[10, 20, 30, 44], [40, 20, 60, 44]], "labels": ["7", ""], "scores": [0.9, 0.4]}}
+    (tmp_path / "boxes.json").write_text(json.dumps(boxes))
+    assert make_bag.main([str(tmp_path), str(tmp_path / "boxes.json"), str(tmp_path / "bag")]) == 0
+    (record,) = read_bag(tmp_path / "bag", {"/detections_labelled"})
+    found = detections_from_message(record.message, DetectionsConfig(numbers_are_labels=True))
+    assert found == [Detection(20, 32, 20, 24, "7", 0.9), Detection(50, 32, 20, 24, "", 0.4)]
+    (name,) = read_bag(tmp_path / "bag", {"/camera/file_name"})
+    assert name.message.frame_id == "one.PNG"
+    assert replay.find_topics(tmp_path / "bag", {}).detections == "/detections_labelled"
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"boxes": [[0, 0, float("nan"), 5]]}, "box 0"),
+        ({"boxes": [[0, 0, 5, 5], [9, 0, 3, 5]]}, "box 1"),
+        ({"boxes": [[0, 0, 5]]}, "boxes must be"),
+        ({"boxes": [[0, 0, 5, 5]], "labels": ["1", "2"]}, "2 labels for 1 boxes"),
+    ],
+)
+def test_make_bag_refuses_wrong_boxes_and_leaves_no_bag(
+    entry: dict[str, Any], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2.imwrite(str(tmp_path / "one.jpg"), np.full((60, 80, 3), 90, np.uint8))
+    (tmp_path / "boxes.json").write_text(json.dumps({"one": entry}))
+    assert make_bag.main([str(tmp_path), str(tmp_path / "boxes.json"), str(tmp_path / "bag")]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "bag").exists()
 
 
 def test_a_bag_with_vision_msgs_brings_its_own_definitions(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from elevator_rectify.arguments import add_bag, add_domain, bag_or_sample
 from elevator_rectify.recordings.replay import OUTPUT_PREFIX, InputTopics, find_topics
 from elevator_rectify.recordings.report import Outcome, write_report
 from elevator_rectify.ros.bag import BagWriter, bag_topics, bag_writer
-from elevator_rectify.ros.messages import ros_type
+from elevator_rectify.ros.messages import installed, ros_type
 from elevator_rectify.ros.output import TOPICS
 from elevator_rectify.share import share_file
 
@@ -113,7 +113,7 @@ class Recorder:
 
 def run(source: Path, folder: Path, domain: int, node_arguments: list[str]) -> int:
     """Run the demo; return 0 when every image was answered or refused with a reason."""
-    topics = find_topics(source, {})
+    topics = find_topics(source, {}, installed)
     expected = bag_topics(source)[topics.image][1]
     environment = dds_environment(domain)
     os.environ.update(environment)

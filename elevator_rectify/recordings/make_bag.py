@@ -1,7 +1,8 @@
 """Makes a bag from a folder of pictures and a JSON of boxes, so that real photographs can be replayed.
 
-JSON: {"NAME": {"boxes": [[xmin, ymin, xmax, ymax], ...], "focal_over_max_size": 0.9 or null}, ...},
-for NAME.jpg or NAME.png.
+JSON: {"NAME": {"boxes": [[xmin, ymin, xmax, ymax], ...], "labels": ["7", ...], "scores": [0.9, ...],
+"focal_over_max_size": 0.9 or null}, ...}, for NAME.jpg, NAME.jpeg or NAME.png; labels, scores and focal length may be
+left out.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.types import Array
 from elevator_rectify.progress import progress
-from elevator_rectify.render.bag import FRAME, header_message, pose_array
+from elevator_rectify.render.bag import FRAME, header_message, pose_array, pose_message
 from elevator_rectify.ros.bag import BagWriter, bag_writer, make_bag_message
 from elevator_rectify.ros.output import camera_info_message
 
@@ -34,7 +36,8 @@ def photograph_camera(size: Sequence[int], focal_over_max_size: float | None) ->
 
 def find_picture(folder: Path, name: str) -> Path | None:
     """Return the picture of this name."""
-    return next((p for ext in (".jpg", ".jpeg", ".png") if (p := folder / f"{name}{ext}").exists()), None)
+    endings = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")
+    return next((p for ext in endings if (p := folder / f"{name}{ext}").exists()), None)
 
 
 def write_photograph(bag: BagWriter, path: Path, entry: dict[str, Any], focal: float, time_ns: int) -> None:
@@ -57,14 +60,54 @@ def write_photograph(bag: BagWriter, path: Path, entry: dict[str, Any], focal: f
     boxes = np.array(entry["boxes"], dtype=float).reshape(-1, 4)
     centres = np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2.0, np.zeros(len(boxes))])
     bag.write("/detections", "geometry_msgs/msg/PoseArray", pose_array(centres, header), time_ns + 2)
+    kind = "vision_msgs/msg/Detection2DArray"
+    bag.write("/detections_labelled", kind, labelled_boxes(boxes, entry, header), time_ns + 3)
+    bag.write("/camera/file_name", "std_msgs/msg/Header", header_message(time_ns, path.name), time_ns + 4)
+
+
+def labelled_boxes(boxes: Array, entry: dict[str, Any], header: Any) -> Any:
+    """Return a Detection2DArray of boxes (N, 4) with the entry's labels and scores, as far as it has them."""
+    make, package = make_bag_message, "vision_msgs/msg/"
+    labels, scores = entry.get("labels") or [""] * len(boxes), entry.get("scores") or [1.0] * len(boxes)
+    found = []
+    for (x0, y0, x1, y1), label, score in zip(boxes, labels, scores, strict=True):
+        position = make(package + "Point2D", x=float(x0 + x1) / 2.0, y=float(y0 + y1) / 2.0)
+        centre = make(package + "Pose2D", position=position, theta=0.0)
+        box = make(package + "BoundingBox2D", center=centre, size_x=float(x1 - x0), size_y=float(y1 - y0))
+        pose = make(
+            "geometry_msgs/msg/PoseWithCovariance", pose=pose_message(np.zeros(3), np.eye(3)), covariance=np.zeros(36)
+        )
+        hypothesis = make(package + "ObjectHypothesis", class_id=str(label or ""), score=float(score))
+        result = make(package + "ObjectHypothesisWithPose", hypothesis=hypothesis, pose=pose)
+        found.append(make(package + "Detection2D", header=header, results=[result], bbox=box, id=""))
+    return make(package + "Detection2DArray", header=header, detections=found)
+
+
+def checked(name: str, entry: Any) -> dict[str, Any]:
+    """Return the entry of one picture. Raises ValueError where a box is none, or labels and boxes differ in number."""
+    try:
+        boxes = np.array(entry["boxes"], dtype=float).reshape(-1, 4)
+    except (TypeError, ValueError, KeyError) as error:
+        raise ValueError(f"{name}: boxes must be a list of [xmin, ymin, xmax, ymax]") from error
+    bad = ~(np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1))
+    if bad.any():
+        first = int(bad.argmax())
+        raise ValueError(f"{name}: box {first} is {boxes[first].tolist()}, not [xmin, ymin, xmax, ymax]")
+    for key in ("labels", "scores"):
+        if entry.get(key) and len(entry[key]) != len(boxes):
+            raise ValueError(f"{name}: {len(entry[key])} {key} for {len(boxes)} boxes")
+    return dict(entry)
 
 
 def make_bag(folder: Path, boxes: Path, output: Path, focal: float | None) -> list[str]:
     """Write the bag; return warnings (assumed focal lengths, missing pictures). Raises ValueError for a bad JSON."""
     try:
         entries = json.loads(boxes.read_text())
-    except (OSError, json.JSONDecodeError) as error:
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"{boxes}: {error}") from error
+    if not isinstance(entries, dict):
+        raise ValueError(f"{boxes}: an object of pictures by name is expected")
+    entries = {name: checked(name, entry) if "boxes" in entry else entry for name, entry in entries.items()}
     warnings = []
     with bag_writer(output) as bag:
         for number, (name, entry) in enumerate(progress(sorted(entries.items()), "photographs")):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
@@ -39,19 +39,25 @@ class InputTopics:
 _STREAM_TYPES = {
     "image": ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"),
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
-    "detections": tuple(DETECTION_TYPES.values()),
+    # Boxes with sizes and labels before bare centres.
+    "detections": tuple(reversed(DETECTION_TYPES.values())),
 }
 
 
-def find_topics(path: Path, given: dict[str, str | None]) -> InputTopics:
-    """Return the bag's input topics: the given ones, else the first of the right type; BadBag where one is missing."""
+def find_topics(
+    path: Path, given: dict[str, str | None], usable: Callable[[str], bool] = lambda kind: True
+) -> InputTopics:
+    """Return the bag's input topics: the given ones, else the first of the right type; BadBag where one is missing.
+
+    usable: tells which types may be chosen, such as those that are installed.
+    """
     topics = {
         name: kind for name, (kind, _) in bag_topics(path).items() if not name.startswith(("/truth/", OUTPUT_PREFIX))
     }
     found = {}
     for stream, kinds in _STREAM_TYPES.items():
         wish = given.get(stream)
-        fitting = [name for kind in kinds for name in sorted(topics) if topics[name] == kind][:2]
+        fitting = [name for kind in kinds for name in sorted(topics) if topics[name] == kind and usable(kind)]
         named = [name for name in fitting if stream in name]
         if wish is not None and topics.get(wish) not in kinds:
             raise BadBag(f"{path} has no topic {wish} of type {' or '.join(kinds)}; it has {_listed(topics)}")

@@ -13,7 +13,7 @@ import numpy as np
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
-from elevator_rectify.core.view.draw import caption
+from elevator_rectify.core.view.draw import WHITE, caption, outlined_text
 from elevator_rectify.recordings.evaluate import right_cells
 from elevator_rectify.ros.bag import bag_topics, read_bag
 from elevator_rectify.ros.config import DETECTION_TYPES
@@ -29,6 +29,7 @@ class Outcome:
 
     stamp: int
     group: str = "all"
+    name: str = ""
     values: dict[str, str] = field(default_factory=dict)
     verdict: str = ""
     camera: Camera | None = None
@@ -69,9 +70,10 @@ def read_outcomes(source: Path, output: Path) -> list[Outcome]:
     kinds = {name: kind for name, (kind, _) in bag_topics(source).items()}
     for record in read_bag_quietly(source):
         message = record.message
-        if not hasattr(message, "header"):
+        header = message if record.kind == "std_msgs/msg/Header" else getattr(message, "header", None)
+        if header is None:
             continue
-        outcome = outcomes.setdefault(stamp_ns(message.header), Outcome(stamp_ns(message.header)))
+        outcome = outcomes.setdefault(stamp_ns(header), Outcome(stamp_ns(header)))
         _take_input(outcome, record.topic, kinds[record.topic], message)
     for record in read_bag_quietly(output):
         message, topic = record.message, record.topic.removeprefix("/elevator_rectify/")
@@ -96,6 +98,8 @@ def _take_input(outcome: Outcome, topic: str, kind: str, message: Any) -> None:
         outcome.true_buttons = _positions(message)
     elif topic == "/truth/cells":
         outcome.true_cells, outcome.group = _positions(message).round().astype(np.int64), message.header.frame_id
+    elif kind == "std_msgs/msg/Header":
+        outcome.name = message.frame_id
     elif kind == "sensor_msgs/msg/CameraInfo":
         outcome.camera = camera_from_message(message)
     elif kind in DETECTION_TYPES.values():
@@ -155,7 +159,7 @@ def _line(method: str, group: str, rows: Sequence[Outcome]) -> str:
 
 def contact_sheet(outcomes: Sequence[Outcome], columns: int = 5) -> Image:
     """Return every image's overlay above its rectified view, `columns` images a row."""
-    tiles = [np.vstack([_tile(row.overlay, ""), _tile(row.view, row.verdict)]) for row in outcomes]
+    tiles = [np.vstack([_named(_tile(row.overlay, ""), row.name), _tile(row.view, row.verdict)]) for row in outcomes]
     blank = np.zeros((2 * _TILE[1], _TILE[0], 3), np.uint8)
     tiles += [blank] * (-len(tiles) % columns)
     return np.vstack([np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)] or [blank])
@@ -175,6 +179,11 @@ def before_after(outcomes: Sequence[Outcome], groups: int = 3) -> Image | None:
     if not padded:
         return None
     return np.asarray(cv2.resize(np.vstack(padded), None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA))
+
+
+def _named(tile: Image, name: str) -> Image:
+    """Write the picture's file name into the upper left corner of its tile."""
+    return outlined_text(tile, name, (6, 18), 0.5, WHITE) if name else tile
 
 
 def _tile(image: Image | None, text: str) -> Image:

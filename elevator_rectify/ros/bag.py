@@ -10,11 +10,13 @@ from typing import Any, Literal
 
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from elevator_rectify.ros.messages import MakeRosbags
+from elevator_rectify.ros.vision_types import DEFINITIONS
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+TYPESTORE.register({k: v for name, text in DEFINITIONS.items() for k, v in get_types_from_msg(text, name).items()})
 make_bag_message = MakeRosbags(TYPESTORE)
 # 9 does not play on Humble.
 _VERSION: Literal[8] = 8
@@ -48,8 +50,11 @@ def bag_writer(path: Path) -> Iterator[BagWriter]:
     if path.exists():
         raise BadBag(f"{path} exists already")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with Writer(path, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
-        yield BagWriter(writer)
+    try:
+        with Writer(path, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+            yield BagWriter(writer)
+    except OSError as error:
+        raise BadBag(f"{path} cannot be written: {error}") from error
 
 
 @dataclass(frozen=True)

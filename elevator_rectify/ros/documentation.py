@@ -38,6 +38,14 @@ def parameter_table() -> str:
     return "\n".join(rows)
 
 
+def parameter_descriptions() -> dict[str, str]:
+    """Return {path: meaning, range and default} for the launch file's arguments."""
+    return {
+        path: f"{item.metadata['meaning']}{_limits(item)}; default: {_literal(default)}"
+        for path, (item, default) in all_parameters().items()
+    }
+
+
 def _limits(item: Any) -> str:
     meta = item.metadata
     if meta["choices"]:

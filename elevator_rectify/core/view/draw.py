@@ -80,8 +80,7 @@ def _draw_button(canvas: Image, button: Button, size: int, thickness: int) -> No
                 cv2.ellipse(canvas, (x, y), (size, size), 0, start, start + 25, AMBER, thickness, cv2.LINE_AA)
         colour = WHITE if button.label_source == "read" else AMBER
         at = (x + size // 2, y - size // 2)
-        for tint, width in ((BLACK, 3 * thickness), (colour, thickness)):
-            cv2.putText(canvas, _ascii(button), at, cv2.FONT_HERSHEY_SIMPLEX, size / 28.0, tint, width, cv2.LINE_AA)
+        outlined_text(canvas, _ascii(button), at, size / 28.0, colour)
 
 
 def _ascii(button: Button | None) -> str:
@@ -97,12 +96,21 @@ def _drawable(points: Array) -> Sequence[tuple[int, int]]:
 
 def caption(canvas: Image, lines: Sequence[str], colour: tuple[int, int, int] = WHITE) -> Image:
     """Write lines of text, with a dark outline, into the lower left corner, in place; return the canvas."""
-    scale = max(0.4, canvas.shape[0] / 1000.0)
+    scale = max(0.5, canvas.shape[0] / 900.0)
     step = round(34 * scale)
     for number, line in enumerate(reversed(list(lines))):
-        at = (6, canvas.shape[0] - 8 - number * step)
-        for tint, width in ((BLACK, 3), (colour, 1)):
-            cv2.putText(
-                canvas, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, tint, max(1, round(width * scale * 1.4)), cv2.LINE_AA
-            )
+        outlined_text(canvas, line, (6, canvas.shape[0] - 8 - number * step), scale, colour)
+    return canvas
+
+
+def outlined_text(canvas: Image, text: str, at: tuple[int, int], scale: float, colour: tuple[int, int, int]) -> Image:
+    """Write the text with a dark outline as wide as its strokes, in place; return the canvas.
+
+    The outline is the same text shifted: OpenCV 5 draws thick strokes much wider than OpenCV 4.
+    """
+    font, width = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(1.5 * scale))
+    for dx in (-width, 0, width):
+        for dy in (-width, 0, width):
+            cv2.putText(canvas, text, (at[0] + dx, at[1] + dy), font, scale, BLACK, width, cv2.LINE_AA)
+    cv2.putText(canvas, text, at, font, scale, colour, width, cv2.LINE_AA)
     return canvas
