@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -13,3 +14,20 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # The same examples in every run.
 settings.register_profile("fixed", derandomize=True)
 settings.load_profile("fixed")
+
+
+# Of these files every test takes seconds; `colcon test` is to take about a minute.
+LONG = ("benchmark", "few", "joint", "known_failures", "live", "measured", "node", "package", "replay", "sequence")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--all", action="store_true", help="the long tests too, as `make test` does")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--all"):
+        return
+    skip = pytest.mark.skip(reason="a long test: run with --all")
+    for item in items:
+        if item.path.stem.removeprefix("test_") in LONG:
+            item.add_marker(skip)

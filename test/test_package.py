@@ -17,7 +17,7 @@ import elevator_rectify
 from elevator_rectify.live.demo import dds_environment
 
 ROOT = Path(__file__).parent.parent
-SOURCES = ("package.xml", "setup.py", "setup.cfg", "elevator_rectify", "resource", "config", "launch", "LICENSE")
+SOURCES = ("package.xml", "setup.py", "setup.cfg", "elevator_rectify", "resource", "config", "launch", "bags", "LICENSE")
 
 
 def test_manifest_names_every_dependency() -> None:
@@ -46,7 +46,8 @@ def test_colcon_builds_and_the_executable_runs(tmp_path: Path) -> None:
     prefix = tmp_path / "install" / "elevator_rectify"
     assert (prefix / "share" / "elevator_rectify" / "package.xml").exists()
     assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "elevator_rectify").exists()
-    assert (prefix / "share" / "elevator_rectify" / "config" / "fastdds.xml").exists()
+    for name in ("config/fastdds.xml", "config/realsense.yaml", "bags/paper_5x5/metadata.yaml"):
+        assert (prefix / "share" / "elevator_rectify" / name).exists()
     site = next(prefix.glob("lib/python3*/site-packages"))
     run_executable(prefix / "lib" / "elevator_rectify" / "node", {**environment, "PYTHONPATH": str(site)})
 

@@ -165,7 +165,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--outlines", action="store_true", help="the confidence of fits to the outlines of few buttons")
     parser.add_argument("--buttons", action="store_true", help="which empty cells hold a missed button (real panels)")
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of real panels")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of real panels, with --buttons")
     options = parser.parse_args(arguments)
     if options.buttons:
         return filled.main(options.data, options.seed)

@@ -242,7 +242,7 @@ class TargetConfig(Checked):
     max_lateral_std_m: float = value(
         0.01, "largest standard deviation of a button's place across the pressing direction", low=0.0, high=1.0
     )
-    standoff_m: float = value(0.1, "distance of the standing-off pose from the button", low=0.0, high=2.0)
+    standoff_m: float = value(0.1, "distance of the approach pose from the button", low=0.0, high=2.0)
 
 
 @dataclass(frozen=True)

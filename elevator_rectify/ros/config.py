@@ -45,7 +45,7 @@ class NodeConfig(Checked):
 
     image_transport: str = value("raw", "how images arrive", choices=("raw", "compressed"))
     image_is_rectified: bool = value(False, "the image is rectified: camera_info's P is used instead of K and D")
-    measure: bool = value(True, "measure the buttons in the image: several times as exact as the boxes alone")
+    measure: bool = value(True, "measure the buttons in the image: several times as accurate as the boxes alone")
     use_depth: bool = value(False, "subscribe to an aligned depth image for the metric scale")
     publish_tf: bool = value(False, "publish the panel's pose on /tf (needs tf2_msgs)")
     panel_frame: str = value("elevator_panel", "name of the panel's frame on /tf")

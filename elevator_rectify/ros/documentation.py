@@ -1,6 +1,6 @@
-"""Writes the parameters out of the dataclasses: the YAML of config/ and the README's table.
+"""Writes the parameters out of the dataclasses: the YAML of config/ and docs/parameters.md.
 
-`python3 -m elevator_rectify.ros.documentation yaml` or `... table`; a test keeps both files equal to this.
+`python3 -m elevator_rectify.ros.documentation yaml` or `... page`; a test keeps both files equal to this.
 """
 
 from __future__ import annotations
@@ -11,6 +11,14 @@ from typing import Any
 
 from elevator_rectify.core.config import Config, flatten
 from elevator_rectify.ros.config import NodeConfig
+
+_PAGE = """# Parameters
+
+All can be set in `config/elevator_rectify.yaml` (which holds the defaults), with `-p NAME:=VALUE`, or as arguments of
+the launch file. Those before `method` are read when the node starts, the others can be changed while it runs: the next
+frame uses them, and a bad value is refused with the reason. A name that is none of these is refused at start.
+
+"""
 
 
 def all_parameters() -> dict[str, tuple[Any, Any]]:
@@ -31,11 +39,16 @@ def parameter_yaml() -> str:
 
 
 def parameter_table() -> str:
-    """Return the README's table of parameters."""
+    """Return the page's table of parameters."""
     rows = ["| parameter | default | meaning |", "| --- | --- | --- |"]
     for path, (item, default) in all_parameters().items():
         rows.append(f"| `{path}` | {_literal(default)} | {item.metadata['meaning']}{_limits(item)} |")
     return "\n".join(rows)
+
+
+def parameter_page() -> str:
+    """Return docs/parameters.md."""
+    return _PAGE + parameter_table() + "\n"
 
 
 def parameter_descriptions() -> dict[str, str]:
@@ -63,4 +76,4 @@ def _literal(content: Any) -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(parameter_yaml() if sys.argv[1:] == ["yaml"] else parameter_table() + "\n")
+    sys.stdout.write(parameter_yaml() if sys.argv[1:] == ["yaml"] else parameter_page())
