@@ -17,7 +17,10 @@ import elevator_rectify
 from elevator_rectify.live.demo import dds_environment
 
 ROOT = Path(__file__).parent.parent
-SOURCES = ("package.xml", "setup.py", "setup.cfg", "elevator_rectify", "resource", "config", "launch", "bags", "LICENSE")
+SOURCES = (
+    *("package.xml", "setup.py", "setup.cfg", "elevator_rectify", "resource"),
+    *("config", "launch", "bags", "LICENSE"),
+)
 
 
 def test_manifest_names_every_dependency() -> None:

@@ -193,7 +193,7 @@ def status_message(answer: Answer, make: Make) -> Any:
 
 def diagnostics_message(name: str, values: dict[str, str], now: Any, make: Make) -> Any:
     """Return the DiagnosticArray of the node, by its last seconds: stale without frames, a warning if none is good."""
-    frames, accepted = (int(values[f"{what} in the last seconds"]) for what in ("frames", "accepted"))
+    frames, accepted = (int(values[name]) for name in ("recent frames", "recent frames accepted"))
     level, text = (b"\x00", "accepts frames") if accepted else (b"\x01", "no frame was accepted in the last seconds")
     if not frames:
         level, text = b"\x03", "no frame came in the last seconds"
