@@ -1,4 +1,4 @@
-# `make demo`: the live node on a rendered bag. `make test`: all checks. Both set up what they need in $(VENV).
+# `make demo`: the live node on a rendered bag (`make demo DEMO=--own`: with its own detector too). `make test`: all checks. Both set up what they need in $(VENV).
 PYTHON ?= python3
 VERSIONS ?= today
 VENV ?= .venv
@@ -17,7 +17,7 @@ export ROS_DOMAIN_ID ?= 77
 .PHONY: demo test figures lint setup clean
 
 demo: setup
-	$(BIN)/python -m elevator_rectify demo --domain $(ROS_DOMAIN_ID)
+	$(BIN)/python -m elevator_rectify demo --domain $(ROS_DOMAIN_ID) $(DEMO)
 
 test: lint $(VENV)/ready-interfaces
 	rm -f .cache/coverage.*

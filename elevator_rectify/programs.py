@@ -10,6 +10,7 @@ from functools import partial
 # Program: module with a main(arguments) function, and what it is for.
 PROGRAMS = {
     "node": ("elevator_rectify.ros.node", "the ROS 2 node"),
+    "look": ("elevator_rectify.recordings.look", "find and read the panel in photographs"),
     "replay": ("elevator_rectify.recordings.replay", "run a bag through the pipeline, offline"),
     "render": ("elevator_rectify.render.bag", "make a bag of rendered panels with their truth"),
     "make_bag": ("elevator_rectify.recordings.make_bag", "make a bag from pictures and a JSON of boxes"),

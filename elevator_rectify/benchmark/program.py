@@ -8,9 +8,12 @@ from pathlib import Path
 import cv2
 
 from elevator_rectify.benchmark.buttons import buttons_table
+from elevator_rectify.benchmark.detector import detector_table
+from elevator_rectify.benchmark.end_to_end import end_to_end_table
 from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.figures import Figures, comparison, read_figures
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
+from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
 from elevator_rectify.benchmark.shown import shown_table, write_example
 from elevator_rectify.benchmark.synthetic import yardstick_ms
@@ -22,6 +25,11 @@ from elevator_rectify.render.levels import LEVELS
 
 # The fixed set's sizes and seed: small enough for every change, with draws that nothing was calibrated on.
 _FIXED_TRIALS, _FIXED_PICTURES, _FIXED_FEW, _FIXED_DRAWS, _FIXED_SEED = 100, 24, 8, 100, 7001
+_LABELLED = {
+    "detector": "precision and recall of our own detector",
+    "reader": "how much our own reader reads right",
+    "end-to-end": "from the picture alone to the button, beside true boxes",
+}
 _FIXED_LEVELS = ["easy", "medium", "hard"]
 
 
@@ -42,6 +50,8 @@ def _parser() -> argparse.ArgumentParser:
         "--buttons", action="store_true", help="missing buttons and labels, on real panels and rendered ones"
     )
     parser.add_argument("--repeats", type=int, default=5, help="with --buttons: times that a real panel is corrupted")
+    for name, what in _LABELLED.items():
+        parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"{what}, on labelled pictures held out")
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
     parser.add_argument(
@@ -66,6 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     reference_ms = yardstick_ms()
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
+    tables = _labelled if options.detector or options.reader or options.end_to_end else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
         seed = _FIXED_SEED if options.fixed else options.seed
@@ -119,6 +130,18 @@ def _pictures(options: argparse.Namespace, figures: Figures, reference_ms: float
         print("\n" + few_table(options.draws, options.seed, figures))
     if options.turns and _real(options, "photos/photos.json"):
         print("\n" + turned_table(options.data, options.turns, figures))
+
+
+def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the tables of our own detector and reader."""
+    for name, table in (("detector", detector_table), ("reader", reader_table), ("end_to_end", end_to_end_table)):
+        folder = getattr(options, name)
+        if folder is None:
+            continue
+        if not (folder / "panels_labelled.json").exists():
+            print(f"\n{name} skipped: there is no {folder / 'panels_labelled.json'}")
+            continue
+        print("\n" + table(folder, figures))
 
 
 def _fixed(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:

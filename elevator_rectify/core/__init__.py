@@ -10,6 +10,7 @@ from elevator_rectify.core.config import (
     LabelsConfig,
     MeasurementConfig,
     MotionConfig,
+    NetworkConfig,
     NoiseConfig,
     OutlineConfig,
     RoundsConfig,
@@ -19,6 +20,8 @@ from elevator_rectify.core.config import (
     TargetConfig,
     ViewConfig,
 )
+from elevator_rectify.core.detector.detect import detect_buttons
+from elevator_rectify.core.find import find_panel
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel, fit_panels
 from elevator_rectify.core.reading.grid_fit import GridFit
@@ -40,6 +43,7 @@ __all__ = [
     "LabelsConfig",
     "MeasurementConfig",
     "MotionConfig",
+    "NetworkConfig",
     "NoiseConfig",
     "OutlineConfig",
     "Rectification",
@@ -49,7 +53,9 @@ __all__ = [
     "SmoothingConfig",
     "TargetConfig",
     "ViewConfig",
+    "detect_buttons",
     "find_button",
+    "find_panel",
     "fit_panel",
     "fit_panels",
     "rectify_image",

@@ -246,6 +246,17 @@ class TargetConfig(Checked):
 
 
 @dataclass(frozen=True)
+class NetworkConfig(Checked):
+    """Our own detector and reader."""
+
+    detector_side_px: int = value(640, "the picture's longer side as the detector sees it", low=128, high=4096)
+    min_score: float = value(0.35, "buttons that are less probable are left out", low=0.0, high=1.0)
+    keyframe_s: float = value(
+        0.5, "the detector looks this often; between, the boxes follow the picture; 0: every frame", low=0.0, high=100.0
+    )
+
+
+@dataclass(frozen=True)
 class ViewConfig(Checked):
     """The rectified view."""
 
@@ -273,6 +284,7 @@ class Config(Checked):
     outline: OutlineConfig = field(default_factory=OutlineConfig)
     labels: LabelsConfig = field(default_factory=LabelsConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
 
 

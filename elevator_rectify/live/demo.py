@@ -10,25 +10,27 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from elevator_rectify.arguments import add_bag, add_domain, bag_or_sample
 from elevator_rectify.recordings.replay import OUTPUT_PREFIX, InputTopics, find_topics
 from elevator_rectify.recordings.report import Outcome, write_report
 from elevator_rectify.ros.bag import BagWriter, bag_topics, bag_writer
 from elevator_rectify.ros.messages import installed, ros_type
-from elevator_rectify.ros.output import TOPICS
+from elevator_rectify.ros.output import TARGET, TOPICS
 from elevator_rectify.share import share_file
 
 # Outputs come in bursts of a picture each; the recorder must not lose any.
 _RECORD_DEPTH = 100
 _QUIET_SECONDS = 20.0
+# What a robot would know of the sample bag's elevators.
+_SAMPLE_PARAMETERS = ("scale.column_pitch_m:=0.045",)
 _START_SECONDS, _SETTLE_SECONDS = 60.0, 2.0
 
 
@@ -65,14 +67,20 @@ def remaps(topics: InputTopics) -> list[str]:
 class Recorder:
     """Records all outputs of the node into a bag and counts the statuses."""
 
-    def __init__(self, bag: BagWriter, expected: int) -> None:
+    def __init__(self, bag: BagWriter, expected: int, press: str) -> None:
         self.answered, self.expected = 0, expected
         self._bag, self._last = bag, time.monotonic()
         self._node = rclpy.create_node("elevator_rectify_recorder")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        for topic, kind in TOPICS.items():
+        for topic, kind in {**TOPICS, **TARGET}.items():
             self._subscribe(topic, kind)
+        latched = QoSProfile(
+            depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        string = ros_type("std_msgs/msg/String")
+        self._target = self._node.create_publisher(string, OUTPUT_PREFIX + "target", latched)
+        self._target.publish(string(data=press))
 
     def _subscribe(self, topic: str, kind: str) -> None:
         qos = QoSProfile(depth=_RECORD_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
@@ -111,25 +119,69 @@ class Recorder:
             self._executor.spin_once(timeout_sec=0.05)
 
 
-def run(source: Path, folder: Path, domain: int, node_arguments: list[str]) -> int:
-    """Run the demo; return 0 when every image was answered or refused with a reason."""
-    topics = find_topics(source, {}, installed)
-    expected = bag_topics(source)[topics.image][1]
-    environment = dds_environment(domain)
-    os.environ.update(environment)
-    output = folder / "bag"
-    python = [sys.executable, "-m", "elevator_rectify"]
-    wait = ["--wait-for", topics.image, topics.camera_info, topics.detections]
+@dataclass(frozen=True)
+class Session:
+    """What is played to which node: bag, folder of the results, ROS_DOMAIN_ID, the node's arguments, label to press."""
+
+    source: Path
+    folder: Path
+    domain: int
+    arguments: tuple[str, ...] = ()
+    press: str = ""
+
+
+def run(session: Session, own: bool = False) -> int:
+    """Run the demo, with own also without the bag's detections; 0 when every image was answered or refused.
+
+    Where both are run the table shows how they differ.
+    """
+    expected = bag_topics(session.source)[find_topics(session.source, {}, installed).image][1]
+    os.environ.update(dds_environment(session.domain))
+    print(f"node and player on ROS_DOMAIN_ID={session.domain}; {expected} images from {session.source}")
     rclpy.init()
-    print(f"node and player on ROS_DOMAIN_ID={domain}; {expected} images from {source}")
-    with running([*python, "node", *remaps(topics), *node_arguments], environment), bag_writer(output) as bag:
-        recorder = Recorder(bag, expected)
-        recorder.connect()
-        with running([*python, "play", str(source), *wait], environment) as player:
-            recorder.record(lambda: player.poll() is not None)
+    runs = {"live": session, **({"own detector": with_own_detector(session)} if own else {})}
+    outputs, answered = {}, {}
+    for name, each in runs.items():
+        outputs[name] = session.folder / f"bag_{name.replace(' ', '_')}"
+        answered[name] = record(each, outputs[name], expected)
     rclpy.try_shutdown()
-    outcomes = write_report(source, {"live": output}, folder)["live"]
-    return verdict(outcomes, expected, recorder.answered)
+    code = 0
+    for name, outcomes in write_report(session.source, outputs, session.folder).items():
+        print(f"\n{name}:")
+        if session.press:
+            print(pressed(outcomes, session.press))
+        code = max(code, verdict(outcomes, expected, answered[name]))
+    return code
+
+
+def with_own_detector(session: Session) -> Session:
+    """Return the same session with the node's own detector."""
+    return replace(session, arguments=(*session.arguments, "-p", "detector:=own"))
+
+
+def record(session: Session, output: Path, expected: int) -> int:
+    """Play the bag to a node of its own and record what it publishes; return how many images were answered."""
+    topics, python = find_topics(session.source, {}, installed), [sys.executable, "-m", "elevator_rectify"]
+    environment = dds_environment(session.domain)
+    wait = ["--wait-for", topics.image, topics.camera_info, topics.detections]
+    node = [*python, "node", *remaps(topics), *session.arguments]
+    with running(node, environment), bag_writer(output) as bag:
+        recorder = Recorder(bag, expected, session.press)
+        recorder.connect()
+        with running([*python, "play", str(session.source), *wait], environment) as player:
+            recorder.record(lambda: player.poll() is not None)
+    return recorder.answered
+
+
+def pressed(outcomes: list[Outcome], label: str) -> str:
+    """Return how often the button was found, and how far from the true one where that is known."""
+    found = [o for o in outcomes if o.target is not None]
+    text = f"button {label}: found in {len(found)} of {len(outcomes)} images"
+    errors = 1e3 * np.array([e for e in (o.target_error_m(label) for o in found) if np.isfinite(e)])
+    if len(errors):
+        text += f", {np.median(errors):.1f} mm off in the median, {errors.max():.1f} mm at most"
+    reasons = sorted({o.values.get("target_status", "") for o in outcomes if o.target is None} - {""})
+    return text + (f"; otherwise: {', '.join(reasons)}" if reasons else "")
 
 
 def verdict(outcomes: list[Outcome], expected: int, answered: int) -> int:
@@ -159,12 +211,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("out/demo"), help="folder for the bag, pictures and table")
     add_domain(parser, 77)
     parser.add_argument("--param", action="append", default=[], metavar="NAME:=VALUE", help="a parameter of the node")
+    parser.add_argument("--own", action="store_true", help="once more with the node's own detector, for comparison")
+    parser.add_argument("--press", metavar="LABEL", help="a button to press; of the sample bag 7")
     options = parser.parse_args(arguments)
+    if options.bag is None:
+        options.param = [*_SAMPLE_PARAMETERS, *options.param]
+        options.press = "7" if options.press is None else options.press
     if options.output.exists():
         options.output = options.output.with_name(f"{options.output.name}_{time.strftime('%Y%m%d_%H%M%S')}")
-    node_arguments: list[Any] = [part for assignment in options.param for part in ("-p", assignment)]
+    node_arguments = tuple(part for assignment in options.param for part in ("-p", assignment))
     try:
-        return run(Path(bag_or_sample(options.bag)), options.output, options.domain, node_arguments)
+        source = Path(bag_or_sample(options.bag))
+        session = Session(source, options.output, options.domain, node_arguments, options.press or "")
+        return run(session, options.own)
     except (ValueError, TimeoutError, FileNotFoundError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2

@@ -37,7 +37,9 @@ class Outcome:
     true_pose: tuple[Array, Array] | None = None
     true_buttons: Array | None = None
     true_cells: IntArray | None = None
+    true_labels: tuple[str, ...] = ()
     pose: tuple[Array, Array] | None = None
+    target: Array | None = None
     grid: Array | None = None
     overlay: Image | None = None
     view: Image | None = None
@@ -52,6 +54,13 @@ class Outcome:
         if self.pose is None or self.true_pose is None:
             return float("nan")
         return float(np.rad2deg(rotation_angle_rad(self.pose[0].T @ self.true_pose[0])))
+
+    def target_error_m(self, label: str) -> float:
+        """Return how far the published target is from the true button of that label; NaN where either is missing."""
+        if self.target is None or self.true_pose is None or self.true_buttons is None or label not in self.true_labels:
+            return float("nan")
+        R, t = self.true_pose
+        return float(np.linalg.norm(R @ self.true_buttons[self.true_labels.index(label)] + t - self.target))
 
     def right_share(self) -> float:
         """Return the share of the detected true buttons that are in the right relative cell of the grid."""
@@ -98,6 +107,8 @@ def _take_input(outcome: Outcome, topic: str, kind: str, message: Any) -> None:
         outcome.true_buttons = _positions(message)
     elif topic == "/truth/cells":
         outcome.true_cells, outcome.group = _positions(message).round().astype(np.int64), message.header.frame_id
+    elif topic == "/truth/labels":
+        outcome.true_labels = tuple(message.frame_id.split(","))
     elif kind == "std_msgs/msg/Header":
         outcome.name = message.frame_id
     elif kind == "sensor_msgs/msg/CameraInfo":
@@ -112,6 +123,8 @@ def _take_output(outcome: Outcome, topic: str, message: Any) -> None:
         outcome.verdict = message.message
     elif topic == "panel_pose":
         outcome.pose = pose_of_message(message.pose.pose)
+    elif topic == "target_pose":
+        outcome.target = pose_of_message(message.pose)[1]
     elif topic == "grid_centers":
         outcome.grid = _positions(message)
     elif topic == "overlay":

@@ -73,6 +73,8 @@ def write_shot(bag: BagWriter, shot: Shot, time_ns: int) -> None:
     bag.write(
         "/truth/cells", kind, pose_array(cells, header_message(time_ns, f"elevator_{shot.elevator + 1}")), time_ns + 4
     )
+    labels = ",".join(button.label for button in shot.scene.panel.buttons)
+    bag.write("/truth/labels", "std_msgs/msg/Header", header_message(time_ns, labels), time_ns + 5)
     boxes = np.column_stack([shot.scene.centres_px, np.zeros(len(shot.scene.detections))])
     bag.write("/detections", kind, pose_array(boxes, header), time_ns + _DETECTOR_DELAY_NS)
 

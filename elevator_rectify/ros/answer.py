@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from elevator_rectify.core.config import Config, LabelsConfig
+from elevator_rectify.core.detector.follow import Found, find_or_follow
+from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.scale import with_scale
 from elevator_rectify.core.pipeline import fit_panel
@@ -57,6 +59,8 @@ class Answer:
     overlay: Image | None = None
     rectified_overlay: Image | None = None
     scale: str = "unknown"
+    detections_from: str = "topic"
+    found: Found | None = None
     target: str = ""
     choice: Choice | None = None
     standoff_m: float = 0.0
@@ -77,6 +81,7 @@ class Inputs:
     camera: Camera
     detections: list[Detection]
     depth: Array | str | None
+    found: Found | None = None
 
 
 def answer_frame(
@@ -86,17 +91,21 @@ def answer_frame(
     node: NodeConfig = DEFAULT_NODE,
     track: Track | None = None,
     target: str = "",
+    found: Found | None = None,
 ) -> tuple[Answer, Track | None]:
     """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
 
     wanted: which pictures to make, of 'rectified', 'overlay' and 'rectified_overlay'; without any, and with nothing to
     measure in it, the image is checked but not converted.
     track: of the frames before, where `node.track` is on; the new one is returned. target: label of the button that is
-    to be pressed, '' for none.
+    to be pressed, '' for none. found: what our own detector found in the frame before (`Answer.found`); it looks where
+    the frame has no detections.
     """
     watch = Stopwatch()
     try:
-        given = inputs(frame, node, bool(wanted) or node.measure)
+        reads = node.read and bool(target or {"labels", "overlay", "rectified_overlay"} & set(wanted))
+        given = inputs(frame, node, bool(wanted) or node.measure or frame.detections is None or reads)
+        given = given if frame.detections is not None else _with_found(given, frame, found, config)
     except BadMessage as error:
         bad = GridFit(status="bad_input", reason=str(error), method=config.method)
         return Answer(frame.image.header, bad, stopwatch=watch), track
@@ -105,6 +114,9 @@ def answer_frame(
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
     watch.lap("fit")
+    if given.image is not None and reads:
+        fit = with_labels(fit, given.image, given.camera)
+        watch.lap("read")
     choice = _chosen(fit, target, config, node, frame.detections) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
@@ -116,6 +128,8 @@ def answer_frame(
         tuple(given.detections),
         view=view,
         scale=scale,
+        detections_from="topic" if frame.detections is not None else "own",
+        found=given.found,
         target=target,
         choice=choice,
         standoff_m=config.target.standoff_m,
@@ -125,6 +139,13 @@ def answer_frame(
     answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track
+
+
+def _with_found(given: Inputs, frame: Frame, last: Found | None, config: Config) -> Inputs:
+    """Return the inputs with the buttons that our own detector finds in the image."""
+    assert given.image is not None
+    found = find_or_follow(given.image, stamp_ns(frame.image.header), last, config.network)
+    return replace(given, detections=list(found.detections), found=found)
 
 
 def _chosen(fit: GridFit, target: str, config: Config, node: NodeConfig, detections: Any) -> Choice:
@@ -160,7 +181,9 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
     if size is not None and size != (camera.height, camera.width):
         text = f"{camera.width} x {camera.height}"
         raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")
-    detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
+    detections = []
+    if frame.detections is not None:
+        detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
     return Inputs(image, camera, detections, _depth(frame.depth))
 
 

@@ -49,6 +49,12 @@ class NodeConfig(Checked):
     use_depth: bool = value(False, "subscribe to an aligned depth image for the metric scale")
     publish_tf: bool = value(False, "publish the panel's pose on /tf (needs tf2_msgs)")
     panel_frame: str = value("elevator_panel", "name of the panel's frame on /tf")
+    detector: str = value(
+        "auto",
+        "where the detections are from: the topic, our own detector, or (auto) our own while nobody publishes any",
+        choices=("auto", "topic", "own"),
+    )
+    read: bool = value(True, "labels by our own reader where the detections bring none")
     track: bool = value(True, "start from the fit of the frame before, and smooth by the covariances")
     max_waiting: int = value(8, "frames that may wait; beyond, the oldest is skipped", low=1, high=100)
     detections: DetectionsConfig = field(default_factory=DetectionsConfig)

@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 
+from elevator_rectify.core.detector.follow import Found
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame
@@ -50,6 +51,8 @@ from elevator_rectify.ros.waiting import Waiting
 
 _SIGNAL_SECONDS = 0.1
 _DIAGNOSTICS_SECONDS = 1.0
+# A detector may be found so much later than the camera.
+_OWN_AFTER_SECONDS = 2.0
 _TF_DEPTH, _LONGEST_TARGET = 100, 100
 _TF = "tf2_msgs/msg/TFMessage"
 
@@ -66,6 +69,9 @@ class ElevatorRectify(Node):
         self.statistics = Statistics()
         self._hints = Hints(self.node_config)
         self._target = ""
+        self._found: Found | None = None
+        self.pairing.needs_detections = self.node_config.detector != "own"
+        self._started, self._had_detections = time.monotonic(), False
         self._track: tuple[int, Track | None] = (0, None)
         self._waiting = Waiting(self.node_config.max_waiting)
         self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
@@ -122,13 +128,31 @@ class ElevatorRectify(Node):
         self._detections = DetectionsSubscriber(
             self,
             self.node_config.detections.type,
-            self._feeding(self.pairing.add_detections),
+            self._feeding(self._add_detections),
             steady,
         )
         topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}
         self._silence = Silence({name: self.resolve_topic_name(topic) for name, topic in topics.items()})
         self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
         self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=steady)
+
+    def _add_detections(self, message: Any) -> list[Frame]:
+        """Pair the message; with `detector: auto` the first one shows that there is a detector."""
+        if not self._had_detections:
+            self._had_detections = True
+            self._choose_detector()
+        return self.pairing.add_detections(message)
+
+    def _choose_detector(self) -> None:
+        """With `detector: auto` our own detector serves while nobody publishes detections."""
+        if self.node_config.detector != "auto":
+            return
+        young = time.monotonic() - self._started < _OWN_AFTER_SECONDS
+        needed = self._had_detections or self._detections.published or young
+        if needed != self.pairing.needs_detections:
+            self.pairing.needs_detections = needed
+            source = "the topic" if needed else "our own detector, nobody publishes them"
+            self.get_logger().info(f"detections come from {source}")
 
     def _on_target(self, message: Any) -> None:
         """Select the button that is to be pressed, from the next frame on; an empty text selects none."""
@@ -163,7 +187,10 @@ class ElevatorRectify(Node):
         jumps, track = self._track
         if jumps != self.pairing.jumps:
             jumps, track = self.pairing.jumps, None
-        answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target)
+        if any(self._listened(topic) for topic in ("buttons", "markers")):
+            wanted.append("labels")
+        answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target, self._found)
+        self._found = answer.found
         for hint in self._hints.of(answer, frame.detections, self.pairing.received["depth"]):
             self.get_logger().warning(hint)
         self._track = jumps, track
@@ -194,6 +221,7 @@ class ElevatorRectify(Node):
         """Publish the counts, once a second."""
         values = self.statistics.values(self.pairing, _DIAGNOSTICS_SECONDS)
         values["detections type"] = self._detections.type if self._detections.published else "none published"
+        self._choose_detector()
         silence = self._silence.look(self.pairing, self.statistics.frames, time.monotonic())
         if silence:
             self.get_logger().warning(silence)

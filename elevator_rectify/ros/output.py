@@ -166,6 +166,7 @@ def status_message(answer: Answer, make: Make) -> Any:
         "confidence": f"{fit.confidence:.4f}",
         "unit": "m" if fit.metric else "column pitch",
         "scale": answer.scale,
+        "detections_from": answer.detections_from,
         "target": answer.target,
         "target_status": "" if answer.choice is None else answer.choice.status,
         "target_reason": "" if answer.choice is None else answer.choice.reason,

@@ -18,7 +18,7 @@ _BEFORE_ALL = -1
 
 @dataclass(frozen=True)
 class Frame:
-    """The messages of one instant; depth is None where there is none."""
+    """The messages of one instant; detections and depth are None where there are none."""
 
     image: Any
     camera_info: Any
@@ -39,6 +39,8 @@ class Pairing:
         self.dropped: Counter[str] = Counter()
         self.received: Counter[str] = Counter({"image": 0, "camera_info": 0, "detections": 0})
         self.jumps = 0
+        # Whether a frame is complete only with detections of a topic; else buttons are found in its image.
+        self.needs_detections = True
         self.newest: dict[str, int] = {}
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._detections: OrderedDict[int, Any] = OrderedDict()
@@ -118,6 +120,8 @@ class Pairing:
         """Take out all frames that are complete now, oldest first."""
         if not self._infos:
             return []
+        if not self.needs_detections:
+            return [self._take(stamp, None) for stamp in sorted(self._images) if self._has_info(stamp)]
         pairs = [(stamp, stamp) for stamp in sorted(self._images.keys() & self._detections.keys())]
         if self.config.tolerance_s > 0:
             pairs = sorted(pairs + self._nearest_pairs(dict(pairs)))
@@ -143,9 +147,10 @@ class Pairing:
             return True
         return max(self._infos) > image
 
-    def _take(self, image: int, detections: int) -> Frame:
+    def _take(self, image: int, detections: int | None) -> Frame:
         info = self._infos.get(image, next(reversed(self._infos.values())))
-        frame = Frame(self._images[image], info, self._detections.pop(detections), self._depths.pop(image, None))
+        boxes = None if detections is None else self._detections.pop(detections)
+        frame = Frame(self._images[image], info, boxes, self._depths.pop(image, None))
         self._own_infos_in_a_row = self._own_infos_in_a_row + 1 if image in self._infos else 0
         self._remove_image(image)
         _keep(self._done, image, None, 4 * self.config.max_images)

@@ -1,0 +1,98 @@
+"""Find the buttons of a picture: one pass over all of it, a finer one over the panel where its buttons are small."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from elevator_rectify.core.config import NetworkConfig
+from elevator_rectify.core.detector.network import heat_map
+from elevator_rectify.core.detector.peaks import Boxes, peaks, probabilities, suppressed
+from elevator_rectify.core.types import Array, Detection, Image
+
+# Written by `calibrate --detector`: how probable a peak of some heat is a button.
+SCORES = Path(__file__).with_name("scores.json")
+DEFAULT_NETWORK = NetworkConfig()
+# Below this side in the network's input buttons are worth a finer look; then they are brought to about that side.
+_SMALL_PX, _FINE_PX = 18.0, 28.0
+# The finer pass takes a region of so many times the boxes' extent, where at least so many surely are.
+_MARGIN, _FEWEST, _SURE = 0.15, 3, 0.3
+# Pictures are not enlarged beyond what the network has learnt from.
+_LARGEST_SCALE = 2.5
+# It costs no more than this many of the first pass's pixels.
+_MOST_AREA = 3.0
+
+
+@cache
+def score_model() -> dict[str, Any]:
+    """Return the coefficients of the scores."""
+    model: dict[str, Any] = json.loads(SCORES.read_text())
+    return model
+
+
+def detect_buttons(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> list[Detection]:
+    """Return the buttons in a picture (height, width[, 3]) uint8, BGR or grey, the surest first.
+
+    Scores are probabilities that a button is there; those below `config.min_score` are left out. Displays, keyholes,
+    speakers and plates are told from buttons and left out. Deterministic. Raises ValueError for another kind of array.
+    """
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
+        shape = "(height, width) or (height, width, 3)"
+        raise ValueError(f"image must be uint8 of {shape}, not {image.dtype} of {image.shape}")
+    found = find_boxes(image, config)
+    score = probabilities(found.heat, score_model())
+    chosen = np.flatnonzero(found.is_button & (score >= config.min_score))
+    return [_detection(found.boxes_px[k], float(score[k])) for k in chosen]
+
+
+def find_boxes(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
+    """Return all boxes of both passes, other things too."""
+    scale = min(config.detector_side_px / max(image.shape[:2]), _LARGEST_SCALE)
+    found = peaks(heat_map(image, scale))
+    region = _small_region(found, scale, image)
+    if region is None:
+        return found
+    (x0, y0, x1, y1), finer = region
+    fine = peaks(heat_map(np.ascontiguousarray(image[y0:y1, x0:x1]), finer))
+    moved = Boxes(fine.boxes_px + np.array([x0, y0, x0, y0], dtype=float), fine.heat, fine.is_button)
+    return _joined(found, moved, np.array([x0, y0, x1, y1], dtype=float))
+
+
+def _small_region(found: Boxes, scale: float, image: Image) -> tuple[tuple[int, int, int, int], float] | None:
+    """Return the part of the picture and the scale of a finer pass, None where it is not needed or does not help."""
+    sure = found.is_button & (found.heat > _SURE)
+    if sure.sum() < _FEWEST:
+        return None
+    boxes = found.boxes_px[sure]
+    side = float(np.median(np.sqrt(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))))
+    if scale * side >= _SMALL_PX:
+        return None
+    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    margin = np.maximum(_MARGIN * (high - low), 3.0 * side)
+    height, width = image.shape[:2]
+    x0, y0 = np.maximum(low - margin, 0.0).astype(int)
+    x1, y1 = np.minimum(high + margin + 1.0, [width, height]).astype(int)
+    most = np.sqrt(_MOST_AREA * scale**2 * height * width / max(1, (x1 - x0) * (y1 - y0)))
+    finer = float(min(_FINE_PX / side, most, _LARGEST_SCALE))
+    return ((int(x0), int(y0), int(x1), int(y1)), finer) if finer > 1.2 * scale else None
+
+
+def _joined(coarse: Boxes, fine: Boxes, region: Array) -> Boxes:
+    """Return the finer boxes within the region, the coarse ones outside; of overlapping ones the best."""
+    centre = (coarse.boxes_px[:, :2] + coarse.boxes_px[:, 2:]) / 2.0
+    outside = ~((centre > region[:2]) & (centre < region[2:])).all(axis=1)
+    boxes = np.concatenate([fine.boxes_px, coarse.boxes_px[outside]])
+    heat = np.concatenate([fine.heat, coarse.heat[outside]])
+    button = np.concatenate([fine.is_button, coarse.is_button[outside]])
+    order = np.argsort(-heat, kind="stable")
+    return suppressed(Boxes(boxes[order], heat[order], button[order]))
+
+
+def _detection(box: Array, score: float) -> Detection:
+    x0, y0, x1, y1 = (float(v) for v in box)
+    # The network counts pixels by their corners, detections by their middles: (0, 0) is the corner pixel's middle.
+    return Detection((x0 + x1) / 2.0 - 0.5, (y0 + y1) / 2.0 - 0.5, x1 - x0, y1 - y0, "", score)

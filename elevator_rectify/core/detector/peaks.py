@@ -1,0 +1,76 @@
+"""From heat maps to boxes: one box a peak, the best of those that overlap, scores that are probabilities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from elevator_rectify.core.detector.network import HeatMap
+from elevator_rectify.core.types import Array, BoolArray, IntArray
+
+# Peaks below this heat are noise, not even doubtful.
+_LEAST_HEAT = 0.08
+# Boxes that overlap by more are one thing.
+_SAME_IOU = 0.4
+# A box with its centre inside another of so many times its area is that one's print or rim.
+_INSIDE_AREA = 6.0
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """boxes_px: (N, 4) xmin, ymin, xmax, ymax; heat: (N,); is_button: (N,), else another thing. Best first."""
+
+    boxes_px: Array
+    heat: Array
+    is_button: BoolArray
+
+
+def peaks(found: HeatMap) -> Boxes:
+    """Return the boxes at the local maxima of both classes, of overlapping ones the best."""
+    spread = np.ones((3, 3), np.uint8)
+    top = np.stack([cv2.dilate(layer, spread) for layer in found.heat])
+    kind, row, column = np.nonzero((found.heat >= top) & (found.heat > _LEAST_HEAT))
+    heat = found.heat[kind, row, column].astype(float)
+    boxes = _averaged(found, kind, row, column)
+    order = np.argsort(-heat, kind="stable")
+    return suppressed(Boxes(boxes[order], heat[order], kind[order] == 0))
+
+
+def _averaged(found: HeatMap, kind: IntArray, row: IntArray, column: IntArray) -> Array:
+    """Return the boxes (N, 4) of the peaks: the mean of the cell's and its four neighbours', weighted by their heat."""
+    h, w = found.heat.shape[1:]
+    total, weight = np.zeros((len(row), 4)), np.zeros((len(row), 1))
+    for dy, dx in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)):
+        r, c = np.clip(row + dy, 0, h - 1), np.clip(column + dx, 0, w - 1)
+        share = found.heat[kind, r, c][:, None].astype(float) ** 2
+        total += share * found.boxes_px[:, r, c].T
+        weight += share
+    return np.asarray(total / np.maximum(weight, 1e-12))
+
+
+def suppressed(given: Boxes) -> Boxes:
+    """Return the boxes, best first, without those that overlap with a better one."""
+    keep: list[int] = []
+    for k in range(len(given.heat)):
+        if not keep or not overlaps(given.boxes_px[k], given.boxes_px[keep]).any():
+            keep.append(k)
+    return Boxes(given.boxes_px[keep], given.heat[keep], given.is_button[keep])
+
+
+def overlaps(box: Array, others: Array) -> BoolArray:
+    """Return (M,) which boxes (M, 4) are the same thing as the box (4,), or hold it, or are held by it."""
+    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    both = np.prod(np.maximum(high - low, 0.0), axis=1)
+    area, areas = float(np.prod(box[2:] - box[:2])), np.prod(others[:, 2:] - others[:, :2], axis=1)
+    inside = both > 0.8 * np.minimum(area, areas)
+    nested = inside & (np.maximum(area, areas) < _INSIDE_AREA * np.minimum(area, areas))
+    return np.asarray((both > _SAME_IOU * (area + areas - both)) | nested)
+
+
+def probabilities(heat: Array, model: dict[str, Any]) -> Array:
+    """Return the calibrated probabilities of peaks of that heat: a logistic of the heat's log odds."""
+    odds = np.log(np.clip(heat, 1e-6, 1.0 - 1e-6) / np.clip(1.0 - heat, 1e-6, 1.0))
+    return np.asarray(1.0 / (1.0 + np.exp(-(model["constant"] + model["slope"] * odds))))

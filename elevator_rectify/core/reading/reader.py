@@ -1,0 +1,185 @@
+"""Reads buttons by a network of our own: patches in the panel's plane, one batch for a panel, distributions out.
+
+What is read is a probability of every label that the vocabulary can say, not a word; a button that cannot be read has
+most of it on 'unreadable'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
+from elevator_rectify.core.types import Array, Detection, FitResult, Image
+
+WEIGHTS = Path(__file__).with_name("reader.onnx")
+# Side of a patch, and what it shows over the box, as in training.
+PATCH_PX, MARGIN = 48, 1.15
+# Labels that are likely enough to be told; a text's slots are searched by so many characters each.
+_MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
+# Softens the network's certainty; fitted on the validation part (`calibrate --reader`).
+_TEMPERATURE = 1.0
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a button says: (label, probability) of the likeliest labels, best first; other: that it is no button."""
+
+    labels: tuple[tuple[str, float], ...]
+    other: float
+
+    @property
+    def label(self) -> str:
+        """Return the likeliest label, '' where none is likelier than that there is nothing to read."""
+        return self.labels[0][0] if self.labels and self.labels[0][1] > 1.0 - self.certainty else ""
+
+    @property
+    def certainty(self) -> float:
+        """Return the probability that there is a label at all."""
+        return float(sum(p for _, p in self.labels))
+
+
+@cache
+def _network(path: Path) -> Any:
+    return cv2.dnn.readNetFromONNX(str(path))
+
+
+def read_patches(patches: Sequence[Image], weights: Path = WEIGHTS) -> list[Read]:
+    """Read square patches (48, 48[, 3]) uint8 in one batch."""
+    if not len(patches):
+        return []
+    network = _network(weights)
+    network.setInput(np.stack([_normalised(p) for p in patches])[:, None])
+    return [_read(logits) for logits in network.forward() / _TEMPERATURE]
+
+
+def _normalised(patch: Image) -> Array:
+    """Return the patch in grey with mean 0 and standard deviation 1."""
+    grey = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)
+    grey = grey.astype(np.float32)
+    return np.asarray((grey - grey.mean()) / (grey.std() + 4.0), dtype=np.float32)
+
+
+def _read(logits: Array) -> Read:
+    """Return the labels of one patch's logits of kinds and slots."""
+    kind = _softmax(logits[: len(KINDS)])
+    slots = _softmax(logits[len(KINDS) :].reshape(SLOTS, BLANK + 1))
+    found = {name: float(kind[KINDS.index(name)]) for name in SYMBOLS}
+    for text, p in _texts(slots).items():
+        found[text] = found.get(text, 0.0) + float(kind[KINDS.index("text")]) * p
+    best = sorted(found.items(), key=lambda item: -item[1])[:_MOST_LABELS]
+    return Read(tuple((label, p) for label, p in best if p > _LEAST), float(kind[KINDS.index("other")]))
+
+
+def _softmax(logits: Array) -> Array:
+    e = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    return np.asarray(e / e.sum(axis=-1, keepdims=True))
+
+
+def _texts(slots: Array) -> dict[str, float]:
+    """Return the likeliest texts: characters up to the first blank, of the best few of every slot."""
+    texts = {"": 1.0}
+    done: dict[str, float] = {}
+    for slot in slots:
+        best = np.argsort(-slot)[:_MOST_CHARACTERS]
+        longer: dict[str, float] = {}
+        for text, p in texts.items():
+            for c in best:
+                if c == BLANK:
+                    done[text] = done.get(text, 0.0) + p * float(slot[c])
+                else:
+                    longer[text + CHARACTERS[c]] = p * float(slot[c])
+        texts = dict(sorted(longer.items(), key=lambda item: -item[1])[: _MOST_CHARACTERS**2])
+    done.update(texts)
+    done.pop("", None)
+    return done
+
+
+def read_boxes(image: Image, detections: Sequence[Detection], weights: Path = WEIGHTS) -> list[Read]:
+    """Read the boxes of a picture as they are, without a pose."""
+    patches = []
+    for d in detections:
+        size = np.maximum([d.width_px, d.height_px], 4.0) * MARGIN
+        corners = np.array([d.x_px, d.y_px]) + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
+        patches.append(_patch(image, corners))
+    return read_patches(patches, weights)
+
+
+def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> list[Read]:
+    """Read the detections of an accepted fit, each in the panel's plane: upright, and seen from the front."""
+    unit = _units(fit, camera)
+    patches = []
+    for d, ray, size in zip(fit.detections, fit.rays, unit, strict=True):
+        if not np.isfinite(ray).all() or not np.isfinite(size).all():
+            patches.append(np.zeros((PATCH_PX, PATCH_PX), np.uint8))
+            continue
+        half = 0.5 * MARGIN * size
+        centre = _on_panel(fit, ray)
+        plane = centre + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+        points = plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+        patches.append(_patch(image, camera.project(points)))
+        del d
+    return read_patches(patches, weights)
+
+
+def _on_panel(fit: FitResult, ray: Array) -> Array:
+    """Return the place (2,) on the panel that is seen along a ray (2,) of the normalised plane."""
+    H = np.column_stack([fit.R_camera_panel[:, :2], fit.t_camera_panel])
+    place = np.linalg.solve(H, np.append(ray, 1.0))
+    return np.asarray(place[:2] / place[2])
+
+
+def _units(fit: FitResult, camera: Camera) -> Array:
+    """Return width and height (N, 2) of the detections' boxes on the panel, in the fit's unit; NaN where unknown.
+
+    Detections without a size have that of the buttons which the picture shows.
+    """
+    sizes = []
+    for d, ray in zip(fit.detections, fit.rays, strict=True):
+        if not np.isfinite(ray).all():
+            sizes.append(np.full(2, np.nan))
+            continue
+        if not (d.width_px > 0 and d.height_px > 0):
+            sizes.append(np.full(2, np.nan) if fit.measurement is None else 2.0 * fit.measurement.half_size)
+            continue
+        centre = _on_panel(fit, ray)
+        step = 0.05 * float(fit.pitch[0])
+        moved = centre + np.array([[0, 0], [step, 0], [0, step]])
+        px = camera.project(moved @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
+        A = np.abs(np.column_stack([px[1] - px[0], px[2] - px[0]])) / step
+        # The box of an ellipse: squares add (`patches.half_size_pitch`).
+        squares = np.linalg.lstsq(A**2, np.array([d.width_px, d.height_px]) ** 2, rcond=None)[0]
+        usual = np.array([d.width_px, d.height_px]) / np.maximum(np.diag(A), 1e-9)
+        sizes.append(np.sqrt(squares) if (squares > 0).all() else usual)
+    return np.array(sizes).reshape(-1, 2)
+
+
+def _patch(image: Image, corners_px: Array) -> Image:
+    """Return the quadrangle (4, 2) of the picture, clockwise from its upper left corner, as a square patch."""
+    side = float(np.sqrt(abs(cv2.contourArea(corners_px.astype(np.float32)))))
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) * PATCH_PX - 0.5
+    factor = max(1.0, side / PATCH_PX)
+    M = cv2.getPerspectiveTransform(corners_px.astype(np.float32), square)
+    low = np.clip(np.floor(corners_px.min(axis=0)) - 4, 0, [image.shape[1] - 1, image.shape[0] - 1]).astype(int)
+    high = np.clip(np.ceil(corners_px.max(axis=0)) + 5, low + 1, [image.shape[1], image.shape[0]]).astype(int)
+    part = image[low[1] : high[1], low[0] : high[0]]
+    if factor > 1.6:
+        part = cv2.GaussianBlur(part, (0, 0), 0.4 * factor)
+    shift = np.array([[1, 0, low[0]], [0, 1, low[1]], [0, 0, 1.0]])
+    patch: Image = cv2.warpPerspective(part, M @ shift, (PATCH_PX, PATCH_PX), borderMode=cv2.BORDER_REPLICATE)
+    return patch
+
+
+def labelled(detections: Sequence[Detection], reads: Sequence[Read]) -> tuple[Detection, ...]:
+    """Return the detections with what was read where they bring no label of their own."""
+    return tuple(
+        d if d.label or not r.label else replace(d, label=r.label, score=r.labels[0][1])
+        for d, r in zip(detections, reads, strict=True)
+    )

@@ -1,0 +1,83 @@
+"""Write a checkpoint's averaged network as ONNX: `python -m elevator_rectify.train.export detector.pt detector.onnx`.
+
+Batch normalisations are folded into the convolutions before them, weights are rounded to half precision.
+OpenCV reads both files from version 4.6 on, which takes no Identity on constants.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import onnx
+import torch
+from onnx import TensorProto, numpy_helper
+from torch import nn
+
+from elevator_rectify.train.detector_net import DetectorNet
+from elevator_rectify.train.reader_net import PATCH, ReaderNet
+
+
+def folded(net: nn.Module) -> nn.Module:
+    """Return the network in evaluation mode with every batch normalisation folded into its convolution."""
+    net.eval()
+    for module in net.modules():
+        if isinstance(module, nn.Sequential):
+            for k in range(len(module) - 1):
+                if isinstance(module[k], nn.Conv2d) and isinstance(module[k + 1], nn.BatchNorm2d):
+                    module[k] = torch.nn.utils.fusion.fuse_conv_bn_eval(module[k], module[k + 1])
+                    module[k + 1] = nn.Identity()
+    return net
+
+
+def without_identities(net: nn.Module) -> nn.Module:
+    """Return the network whose sequences have no empty steps."""
+    for name, module in net.named_children():
+        if isinstance(module, nn.Sequential):
+            kept = nn.Sequential(*(m for m in module if not isinstance(m, nn.Identity)))
+            setattr(net, name, kept)
+            without_identities(kept)
+        else:
+            without_identities(module)
+    return net
+
+
+def export(checkpoint: Path, output: Path, side: tuple[int, int]) -> None:
+    """Write the detector or reader of a checkpoint; side: height and width of the detector's nominal input."""
+    state = torch.load(checkpoint, weights_only=True)
+    detector = "head.weight" in state["average"]
+    net: nn.Module = DetectorNet() if detector else ReaderNet()
+    net.load_state_dict(state["average"])
+    net = without_identities(folded(net))
+    shape = (1, 3, *side) if detector else (1, 1, PATCH, PATCH)
+    dynamic = None if detector else {"patches": {0: "n"}, "logits": {0: "n"}}
+    names = {"input_names": ["image"], "output_names": ["out"]} if detector else {
+        "input_names": ["patches"], "output_names": ["logits"]}
+    torch.onnx.export(net, (torch.zeros(shape),), str(output), opset_version=11, dynamo=False, dynamic_axes=dynamic,
+                      **names)
+    model = onnx.load(str(output))
+    halve(model)
+    onnx.save(model, str(output))
+    print(f"{output}: {output.stat().st_size / 1e6:.2f} MB, step {state['step']}")
+
+
+def halve(model: onnx.ModelProto) -> None:
+    """Round the weights to half precision; they stay stored as float32, which every reader takes."""
+    for tensor in model.graph.initializer:
+        if tensor.data_type == TensorProto.FLOAT:
+            array = numpy_helper.to_array(tensor)
+            tensor.CopyFrom(numpy_helper.from_array(array.astype("float16").astype("float32"), tensor.name))
+
+
+def main() -> None:
+    """Read the command line and export."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--side", type=int, nargs=2, default=(480, 640))
+    options = parser.parse_args()
+    export(options.checkpoint, options.output, tuple(options.side))
+
+
+if __name__ == "__main__":
+    main()

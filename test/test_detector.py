@@ -1,0 +1,120 @@
+"""Our own detector: boxes where buttons are, at any size of the picture, nothing where there is nothing."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from elevator_rectify.benchmark.detector import boxes_of, iou, matched, nearness
+from elevator_rectify.benchmark.pictures import Pictured, pictured
+from elevator_rectify.core import Detection, NetworkConfig, detect_buttons
+from elevator_rectify.core.detector.follow import Found, find_or_follow, followed
+from elevator_rectify.core.detector.peaks import Boxes, probabilities, suppressed
+from elevator_rectify.core.types import Array, Image
+
+
+def scenes(number: int = 6) -> list[Pictured]:
+    return [pictured("easy", 31, k, held_out=True) for k in range(number)]
+
+
+def true_boxes(given: Pictured) -> Array:
+    return boxes_of(list(given.scene.detections))
+
+
+def found_share(given: Pictured, image: Image, scale: float = 1.0) -> float:
+    boxes = boxes_of(detect_buttons(image)) / scale
+    return float((matched(nearness(boxes, true_boxes(given)), 0.7) >= 0).sum() / len(given.scene.detections))
+
+
+def test_most_buttons_of_rendered_panels_are_found() -> None:
+    """It learnt from photographs only: rendered panels are a picture of another kind."""
+    assert np.mean([found_share(given, given.image) for given in scenes()]) > 0.7
+
+
+def test_a_larger_picture_of_the_same_gives_the_same_boxes() -> None:
+    given = scenes(1)[0]
+    large = cv2.resize(given.image, None, fx=3.0, fy=3.0, interpolation=cv2.INTER_CUBIC)
+    one, other = boxes_of(detect_buttons(given.image)), boxes_of(detect_buttons(large)) / 3.0
+    # Resized down again it is nearly, not exactly, the same picture.
+    best = iou(one, other).max(axis=1)
+    assert len(one) > 4 and np.mean(best > 0.8) > 0.8
+
+
+@pytest.mark.parametrize("size", [(64, 64), (33, 700), (480, 640)])
+def test_nothing_is_found_where_there_is_nothing(size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    pictures = [np.zeros((*size, 3), np.uint8), np.full((*size, 3), 255, np.uint8)]
+    pictures.append(rng.integers(0, 255, (*size, 3), dtype=np.uint8))
+    for picture in pictures:
+        assert len(detect_buttons(picture)) <= 2
+
+
+def test_it_is_deterministic_and_takes_grey() -> None:
+    image = scenes(1)[0].image
+    assert detect_buttons(image) == detect_buttons(image)
+    assert len(detect_buttons(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))) > 0
+
+
+def test_the_surest_comes_first_and_none_is_below_the_least_score() -> None:
+    found = detect_buttons(scenes(1)[0].image, NetworkConfig(min_score=0.6))
+    scores = [d.score for d in found]
+    assert scores == sorted(scores, reverse=True) and all(0.6 <= s <= 1.0 for s in scores)
+
+
+@pytest.mark.parametrize("image", [np.zeros((9, 9), np.float32), np.zeros((9, 9, 4), np.uint8), np.zeros(9, np.uint8)])
+def test_what_is_no_picture_is_refused(image: Image) -> None:
+    with pytest.raises(ValueError, match="image must be uint8"):
+        detect_buttons(image)
+
+
+def test_of_overlapping_boxes_the_best_is_kept() -> None:
+    boxes = np.array([[0, 0, 10, 10], [1, 0, 11, 10], [30, 0, 40, 10], [2, 2, 8, 8]], dtype=float)
+    kept = suppressed(Boxes(boxes, np.array([0.9, 0.8, 0.7, 0.6]), np.array([True, True, False, True])))
+    assert kept.boxes_px.tolist() == [boxes[0].tolist(), boxes[2].tolist()]
+
+
+def test_probabilities_rise_with_the_heat() -> None:
+    p = probabilities(np.linspace(0.0, 1.0, 20), {"constant": -0.3, "slope": 1.2})
+    assert (np.diff(p) > 0).all() and 0.0 <= p[0] < p[-1] <= 1.0
+
+
+def test_each_true_box_is_taken_once() -> None:
+    likeness = np.array([[0.9, 0.1], [0.95, 0.2], [0.3, 0.8]])
+    assert matched(likeness, 0.5).tolist() == [0, -1, 1]
+
+
+def shifted(image: Image, dx: float, dy: float, scale: float = 1.0) -> Image:
+    M = np.array([[scale, 0.0, dx], [0.0, scale, dy]])
+    return np.asarray(cv2.warpAffine(image, M, (image.shape[1], image.shape[0]), borderMode=cv2.BORDER_REPLICATE))
+
+
+def test_boxes_follow_the_picture() -> None:
+    given = scenes(1)[0]
+    grey = cv2.cvtColor(given.image, cv2.COLOR_BGR2GRAY)
+    last = Found(tuple(given.scene.detections), grey, 0, 0)
+    moved = followed(last, shifted(grey, 6.0, -4.0, 1.02))
+    assert moved is not None
+    before = np.array([[d.x_px, d.y_px] for d in given.scene.detections]) * 1.02 + [6.0, -4.0]
+    now = np.array([[d.x_px, d.y_px] for d in moved])
+    distance = np.linalg.norm(now[:, None] - before[None], axis=2).min(axis=1)
+    # Optical flow is good to a tenth of a pixel where there is texture; a shrunken or grown patch costs a little.
+    assert np.median(distance) < 0.3
+    assert moved[0].width_px == pytest.approx(1.02 * given.scene.detections[0].width_px, rel=0.01)
+
+
+def test_another_picture_is_not_followed() -> None:
+    one, other = scenes(2)
+    grey = [cv2.cvtColor(given.image, cv2.COLOR_BGR2GRAY) for given in (one, other)]
+    assert followed(Found(tuple(one.scene.detections), grey[0], 0, 0), grey[1]) is None
+
+
+def test_the_detector_looks_at_keyframes_only() -> None:
+    image = scenes(1)[0].image
+    config = NetworkConfig(keyframe_s=0.5)
+    first = find_or_follow(image, 10**9, None, config)
+    second = find_or_follow(image, 10**9 + 10**8, first, config)
+    assert first.looked_ns == second.looked_ns == 10**9 and len(second.detections) >= 0.8 * len(first.detections)
+    assert find_or_follow(image, 10**9 + 6 * 10**8, second, config).looked_ns == 10**9 + 6 * 10**8
+    assert find_or_follow(image, 10**8, second, config).looked_ns == 10**8, "the clock went back"
+    assert Detection(0, 0) not in second.detections
