@@ -10,6 +10,7 @@ from functools import partial
 # Program: module with a main(arguments) function, and what it is for.
 PROGRAMS = {
     "node": ("elevator_rectify.ros.node", "the ROS 2 node"),
+    "detector": ("elevator_rectify.ros.detector", "our own detector alone, as a node"),
     "look": ("elevator_rectify.recordings.look", "find and read the panel in photographs"),
     "replay": ("elevator_rectify.recordings.replay", "run a bag through the pipeline, offline"),
     "render": ("elevator_rectify.render.bag", "make a bag of rendered panels with their truth"),
@@ -24,7 +25,7 @@ PROGRAMS = {
     "chaos": ("elevator_rectify.live.chaos", "the live node under everything that goes wrong, its counts checked"),
 }
 # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
-_WHOLE_COMMAND = ("node", "relay")
+_WHOLE_COMMAND = ("node", "detector", "relay")
 # Packages that some programs need, and how to get them.
 _PACKAGES = {
     "rosbags": "reads and writes bags: pip install rosbags",

@@ -82,7 +82,7 @@ def test_rendering_is_deterministic(tmp_path: Path) -> None:
     for name in "ab":
         render.render_bag(tmp_path / name, 1, 1, seed=5)
     a, b = ([r.data for r in read_bag(tmp_path / name)] for name in "ab")
-    assert a == b and len(a) == 6
+    assert a == b and len(a) == 7
 
 
 def test_missing_topics_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

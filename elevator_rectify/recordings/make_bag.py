@@ -18,10 +18,12 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.types import Array
+from elevator_rectify.core.types import Detection
 from elevator_rectify.progress import progress
-from elevator_rectify.render.bag import FRAME, header_message, pose_array, pose_message
+from elevator_rectify.render.bag import FRAME, header_message
 from elevator_rectify.ros.bag import BagWriter, bag_writer, make_bag_message
+from elevator_rectify.ros.config import DETECTION_TYPES
+from elevator_rectify.ros.detections import boxes_message, centres_message
 from elevator_rectify.ros.output import camera_info_message
 
 ASSUMED_FOCAL = 0.9
@@ -57,30 +59,22 @@ def write_photograph(bag: BagWriter, path: Path, entry: dict[str, Any], focal: f
     camera = photograph_camera((image.shape[1], image.shape[0]), focal)
     info = camera_info_message(camera, np.eye(3), header, make_bag_message)
     bag.write("/camera/camera_info", "sensor_msgs/msg/CameraInfo", info, time_ns + 1)
-    boxes = np.array(entry["boxes"], dtype=float).reshape(-1, 4)
-    centres = np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2.0, np.zeros(len(boxes))])
-    bag.write("/detections", "geometry_msgs/msg/PoseArray", pose_array(centres, header), time_ns + 2)
-    kind = "vision_msgs/msg/Detection2DArray"
-    bag.write("/detections_labelled", kind, labelled_boxes(boxes, entry, header), time_ns + 3)
+    found = labelled_boxes(entry)
+    kind = DETECTION_TYPES["pose_array"]
+    bag.write("/detections", kind, centres_message(found, header, make_bag_message), time_ns + 2)
+    kind = DETECTION_TYPES["vision_msgs"]
+    bag.write("/detections_labelled", kind, boxes_message(found, header, make_bag_message), time_ns + 3)
     bag.write("/camera/file_name", "std_msgs/msg/Header", header_message(time_ns, path.name), time_ns + 4)
 
 
-def labelled_boxes(boxes: Array, entry: dict[str, Any], header: Any) -> Any:
-    """Return a Detection2DArray of boxes (N, 4) with the entry's labels and scores, as far as it has them."""
-    make, package = make_bag_message, "vision_msgs/msg/"
+def labelled_boxes(entry: dict[str, Any]) -> list[Detection]:
+    """Return the entry's boxes with their labels and scores, as far as it has them."""
+    boxes = np.array(entry["boxes"], dtype=float).reshape(-1, 4)
     labels, scores = entry.get("labels") or [""] * len(boxes), entry.get("scores") or [1.0] * len(boxes)
-    found = []
-    for (x0, y0, x1, y1), label, score in zip(boxes, labels, scores, strict=True):
-        position = make(package + "Point2D", x=float(x0 + x1) / 2.0, y=float(y0 + y1) / 2.0)
-        centre = make(package + "Pose2D", position=position, theta=0.0)
-        box = make(package + "BoundingBox2D", center=centre, size_x=float(x1 - x0), size_y=float(y1 - y0))
-        pose = make(
-            "geometry_msgs/msg/PoseWithCovariance", pose=pose_message(np.zeros(3), np.eye(3)), covariance=np.zeros(36)
-        )
-        hypothesis = make(package + "ObjectHypothesis", class_id=str(label or ""), score=float(score))
-        result = make(package + "ObjectHypothesisWithPose", hypothesis=hypothesis, pose=pose)
-        found.append(make(package + "Detection2D", header=header, results=[result], bbox=box, id=""))
-    return make(package + "Detection2DArray", header=header, detections=found)
+    return [
+        Detection(float(a + c) / 2.0, float(b + d) / 2.0, float(c - a), float(d - b), str(label or ""), float(score))
+        for (a, b, c, d), label, score in zip(boxes, labels, scores, strict=True)
+    ]
 
 
 def checked(name: str, entry: Any) -> dict[str, Any]:

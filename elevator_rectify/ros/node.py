@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
-from types import FrameType
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
@@ -37,6 +33,7 @@ from elevator_rectify.ros.output import (
 from elevator_rectify.ros.pairing import Frame, Pairing
 from elevator_rectify.ros.parameters import changed, declare
 from elevator_rectify.ros.poses import ros_header
+from elevator_rectify.ros.running import run_node
 from elevator_rectify.ros.statistics import Statistics
 from elevator_rectify.ros.subscribe import (
     DetectionsSubscriber,
@@ -49,7 +46,6 @@ from elevator_rectify.ros.subscribe import (
 )
 from elevator_rectify.ros.waiting import Waiting
 
-_SIGNAL_SECONDS = 0.1
 _DIAGNOSTICS_SECONDS = 1.0
 # A detector may be found so much later than the camera.
 _OWN_AFTER_SECONDS = 2.0
@@ -121,9 +117,12 @@ class ElevatorRectify(Node):
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
         for kind, topic, add in streams:
             subscribe(self, kind, topic, self._feeding(add))
-        # A target set before the node started is that of a latched publisher.
+        # A target set before the node started is that of a latched publisher; each publisher matches one of the two, and
+        # that it does not match the other is no news.
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for qos in (output_qos(), latched_qos()):
-            self.create_subscription(ros_type("std_msgs/msg/String"), "~/target", self._on_target, qos)
+            string = ros_type("std_msgs/msg/String")
+            self.create_subscription(string, "~/target", self._on_target, qos, event_callbacks=quiet)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._detections = DetectionsSubscriber(
             self,
@@ -248,37 +247,9 @@ def panel_frame(node: ElevatorRectify) -> str:
     return name if name.startswith("/") else f"{node.get_namespace()}/{name}".lstrip("/")
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is interrupted; 0 on a clean end, 2 for wrong parameters."""
-    # The handlers are ours, so that the node can still log and leave the graph when a signal comes.
-    rclpy.init(args=args, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    try:
-        node = ElevatorRectify()
-    except (ValueError, rclpy.exceptions.ParameterException) as error:
-        print(f"elevator_rectify: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 2
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        # A wait without limit would keep the signal from Python until the next message.
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=_SIGNAL_SECONDS)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        node.close()
-        executor.shutdown(timeout_sec=0.2)
-        rclpy.try_shutdown()
-    return 0
+    return run_node(ElevatorRectify, args)
 
 
 if __name__ == "__main__":

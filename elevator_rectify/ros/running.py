@@ -1,0 +1,47 @@
+"""Runs a node until it is interrupted, and lets it leave the graph in order."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+_SIGNAL_SECONDS = 0.1
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def run_node(make: Callable[[], Any], args: list[str] | None) -> int:
+    """Run the node that `make` makes, with a method `close`; 0 on a clean end, 2 for wrong parameters."""
+    # The handlers are ours, so that the node can still log and leave the graph when a signal comes.
+    rclpy.init(args=args, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    try:
+        node = make()
+    except (ValueError, rclpy.exceptions.ParameterException) as error:
+        print(f"elevator_rectify: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        # A wait without limit would keep the signal from Python until the next message.
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=_SIGNAL_SECONDS)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        node.close()
+        executor.shutdown(timeout_sec=0.2)
+        rclpy.try_shutdown()
+    return 0
