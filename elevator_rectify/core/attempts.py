@@ -13,6 +13,7 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.picture.fit import with_picture
+from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, second_opinion
 from elevator_rectify.core.result import joint_fit, layout_of
 from elevator_rectify.core.types import Array, FitResult, Image
 
@@ -22,23 +23,31 @@ _QUICK = 0.125
 _MANY = 30
 # A fit that is accepted, but no surer than this, is worth the last search too.
 _SURE = 0.9
+# A button over the pitch, where its box has no size.
+_USUAL_SIZE = 0.6
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One search: what it found, the result made of it, and the confidence that makes the next one needless."""
+    """One search: what it found, the result made of it, the confidence that makes the next one needless; boxes: the
+    result by the detections alone."""
 
     fit: JointFit | None
     result: FitResult
     enough: float
+    boxes: FitResult
+
+    @property
+    def likelihood(self) -> float:
+        """Return the log likelihood of the detections."""
+        return -np.inf if self.fit is None else self.fit.best.log_likelihood
 
     @property
     def rank(self) -> tuple[float, float, float]:
         """Return what the best attempt has most of."""
-        likelihood = -np.inf if self.fit is None else self.fit.best.log_likelihood
         if self.result.measurement is None:
-            return 0.0, 0.0, likelihood
-        return 1.0, self.result.confidence, likelihood
+            return 0.0, 0.0, self.likelihood
+        return 1.0, self.result.confidence, self.likelihood
 
 
 def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None = None) -> Attempt:
@@ -47,13 +56,18 @@ def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, i
     Without image the likeliest is the best, with image the one that it confirms most.
     """
     best: Attempt | None = None
+    boxes: Attempt | None = None
     for attempt in attempts(usable, camera, sigma, config, image):
         if best is None or attempt.rank > best.rank:
             best = attempt
+        if boxes is None or (attempt.boxes.ok, attempt.likelihood) > (boxes.boxes.ok, boxes.likelihood):
+            boxes = attempt
         if best.result.ok and best.result.confidence >= attempt.enough:
             break
-    assert best is not None
-    return best
+    assert best is not None and boxes is not None
+    if image is None or not config.measurement.witness:
+        return best
+    return replace(best, result=witnessed(best.result, boxes.boxes, usable, camera, image, config))
 
 
 def attempts(
@@ -68,10 +82,11 @@ def attempts(
         if fit is not None:
             other = turned(fit.other, R_upright_camera.T) if fit.other else None
             fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
-        result = joint_fit(fit, usable, camera, sigma, config)
+        boxes = joint_fit(fit, usable, camera, sigma, config)
+        result = boxes
         if image is not None and fit is not None:
-            result = with_picture(fit, result, usable, camera, sigma, image, config)
-        yield Attempt(fit, result, enough)
+            result = with_picture(fit, boxes, usable, camera, sigma, image, config)
+        yield Attempt(fit, result, enough, boxes)
 
 
 def tracked(
@@ -91,7 +106,37 @@ def tracked(
     result = joint_fit(moved, usable, camera, sigma, config)
     if image is None:
         return result
-    return with_picture(moved, result, usable, camera, sigma, image, config, tracked=previous.measurement is not None)
+    measured = previous.measurement is not None
+    shown = with_picture(moved, result, usable, camera, sigma, image, config, tracked=measured)
+    if not config.measurement.witness:
+        return shown
+    # Boxes that were believed without the picture's measurement are so while they are tracked.
+    if not measured and result.ok and not shown.ok:
+        return result
+    lost = measured and shown.measurement is None
+    return witnessed(shown, result, usable, camera, image, config) if lost or not shown.ok else shown
+
+
+def witnessed(
+    shown: FitResult, boxes: FitResult, usable: Usable, camera: Camera, image: Image, config: Config
+) -> FitResult:
+    """Return the fit to the picture where it confirms it, else the boxes' own, if the picture does not contradict it.
+
+    shown: the fit with the picture; boxes: the fit to the detections alone. The picture's confidence knows the pictures
+    that it was calibrated on; what it refuses or does not see, our own detector may see.
+    """
+    if not (boxes.ok or shown.ok):
+        return shown
+    believed = shown if shown.ok else boxes
+    inlier = believed.cells[usable.index, 0] >= 0
+    centres = camera.project(np.column_stack([usable.rays, np.ones(len(usable.rays))]))[inlier]
+    steps = [np.linalg.norm(np.diff(believed.grid_px, axis=axis), axis=2) for axis in (0, 1)]
+    usual = _USUAL_SIZE * min(float(np.nanmedian(step)) for step in steps)
+    sizes = np.where(usable.sizes_px > 0, usable.sizes_px, usual)[inlier]
+    said = second_opinion(image, centres, sizes, config.network)
+    if said.verdict == CONTRADICTED:
+        return replace(believed, status="contradicted", reason=f"the picture contradicts the boxes: {said.reason}")
+    return boxes if said.verdict == CONFIRMED and not shown.ok else shown
 
 
 def _upright(config: Config) -> Array:

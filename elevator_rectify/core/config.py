@@ -196,6 +196,9 @@ class MeasurementConfig(Checked):
     min_seen_share: float = value(
         0.5, "smallest share of the detected buttons that the picture must show to be used", low=0.0, high=1.0
     )
+    witness: bool = value(
+        True, "where the picture does not confirm the boxes, our own detector is asked whether it contradicts them"
+    )
     edges: bool = value(False, "straight edges that run along the panel's directions sharpen the rotation")
     covariance_scale: float = value(2.5, "factor on the covariance, from calibration", low=0.01, high=100.0)
 

@@ -117,8 +117,8 @@ class ElevatorRectify(Node):
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
         for kind, topic, add in streams:
             subscribe(self, kind, topic, self._feeding(add))
-        # A target set before the node started is that of a latched publisher; each publisher matches one of the two, and
-        # that it does not match the other is no news.
+        # A target set before the node started is that of a latched publisher; each publisher matches one of the two,
+        # and that it does not match the other is no news.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for qos in (output_qos(), latched_qos()):
             string = ros_type("std_msgs/msg/String")

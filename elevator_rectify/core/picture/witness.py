@@ -1,0 +1,99 @@
+"""A second opinion on boxes that the measurement in the picture does not confirm: does our detector see them there?
+
+It settles whether a picture contradicts the boxes (they are another picture's, shifted, mirrored, of another
+resolution) or is only unlike the pictures that the measurement's confidence was calibrated on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from elevator_rectify.core.config import NetworkConfig
+from elevator_rectify.core.detector.detect import find_boxes
+from elevator_rectify.core.types import Array, BoolArray, Image
+
+CONFIRMED, CONTRADICTED, UNSEEN = "confirmed", "contradicted", "unseen"
+# Things hotter than this count as seen; buttons hotter than that count as surely elsewhere.
+_SEEN_HEAT, _SURE_HEAT = 0.12, 0.45
+# A box is seen where a thing's centre is within this share of the box's size of its own.
+_NEAR = 0.4
+# From this share on the boxes are confirmed (99 held-out real panels all had .9 and more). Below, they are contradicted
+# where so many sure buttons have no box: at least, and over the number of boxes.
+_CONFIRMED_SHARE = 0.75
+_ELSEWHERE, _ELSEWHERE_SHARE = 2, 0.15
+# Boxes that are seen, but all off to one side by more than this share of their size, are of another moment.
+_COMMON_SHIFT = 0.2
+# A picture is sharp where a hundredth of it has gradients like this (grey levels a pixel); a box is empty where the
+# gradients in and around it are below that share of the picture's.
+_SHARP, _EMPTY_SHARE, _EMPTY = 25.0, 0.18, 0.6
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What is said: 'confirmed', 'contradicted' or 'unseen', and why."""
+
+    verdict: str
+    reason: str
+
+
+def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig) -> Opinion:
+    """Return whether the picture shows buttons at the boxes: centres (N, 2) and sizes (N, 2) in pixels."""
+    found = find_boxes(image, config)
+    seen, shift = _seen(found.boxes_px[found.heat > _SEEN_HEAT], centres_px, sizes_px)
+    share, off = float(seen.mean()), float(np.linalg.norm(shift))
+    if share >= _CONFIRMED_SHARE and off < _COMMON_SHIFT:
+        return Opinion(CONFIRMED, f"{share:.0%} of the boxes are seen in the picture")
+    if share >= _CONFIRMED_SHARE:
+        return Opinion(CONTRADICTED, f"the boxes are all off by {off:.2f} of their size from what the picture shows")
+    elsewhere = _elsewhere(found.boxes_px[found.is_button & (found.heat > _SURE_HEAT)], centres_px)
+    if elsewhere >= max(_ELSEWHERE, _ELSEWHERE_SHARE * len(seen)):
+        text = f"{share:.0%} of the boxes are where the picture shows buttons, {elsewhere} buttons are elsewhere"
+        return Opinion(CONTRADICTED, text)
+    empty = _empty_share(image, centres_px, sizes_px)
+    if empty > _EMPTY:
+        return Opinion(CONTRADICTED, f"{empty:.0%} of the boxes are on nothing in a sharp picture")
+    return Opinion(UNSEEN, f"{share:.0%} of the boxes are seen in the picture")
+
+
+def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray, Array]:
+    """Return (N,) which boxes have one of the things (M, 4) at their centre, and the median shift (2,) of those, in
+    sizes."""
+    if not len(things):
+        return np.zeros(len(centres_px), dtype=bool), np.zeros(2)
+    off = (centres_px[:, None] - _centres(things)[None]) / sizes_px[:, None]
+    nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
+    own = off[np.arange(len(off)), nearest]
+    seen = np.asarray(np.linalg.norm(own, axis=1) < _NEAR)
+    return seen, np.median(own[seen], axis=0) if seen.any() else np.zeros(2)
+
+
+def _elsewhere(buttons: Array, centres_px: Array) -> int:
+    """Count the buttons (M, 4) that have no box's centre at theirs."""
+    size = np.maximum(buttons[:, 2:] - buttons[:, :2], 1.0)
+    off = np.linalg.norm((_centres(buttons)[:, None] - centres_px[None]) / size[:, None], axis=2)
+    return int((off.min(axis=1, initial=np.inf) > _NEAR).sum())
+
+
+def _centres(boxes: Array) -> Array:
+    # The network counts pixels by their corners.
+    return np.asarray((boxes[:, :2] + boxes[:, 2:]) / 2.0 - 0.5)
+
+
+def _empty_share(image: Image, centres_px: Array, sizes_px: Array) -> float:
+    """Return the share of the boxes with nothing in them, 0 where the picture is too dark or blurred to tell."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    gradient = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0) / 8.0, cv2.Sobel(grey, cv2.CV_32F, 0, 1) / 8.0)
+    sharp = float(np.quantile(gradient[::3, ::3], 0.99))
+    if sharp < _SHARP / 2.0:
+        return 0.0
+    empty = []
+    low = np.maximum((centres_px - 0.6 * sizes_px).astype(int), 0)
+    high = np.maximum((centres_px + 0.6 * sizes_px).astype(int) + 1, 1)
+    for (x0, y0), (x1, y1) in zip(low, high, strict=True):
+        part = gradient[y0:y1, x0:x1]
+        if part.size:
+            empty.append(float(np.quantile(part, 0.9)) < _EMPTY_SHARE * sharp)
+    return float(np.mean(empty)) if empty else 0.0

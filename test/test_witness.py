@@ -1,0 +1,87 @@
+"""Boxes that are not the picture's: our own detector sees buttons elsewhere, and the fit is refused."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from elevator_rectify.benchmark.pictures import Pictured, pictured
+from elevator_rectify.core import Config, Detection, NetworkConfig, fit_panel
+from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, UNSEEN, second_opinion
+from elevator_rectify.core.types import Image
+
+NETWORK = NetworkConfig()
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Pictured]:
+    return [pictured("easy", 4003, k, held_out=True) for k in range(6)]
+
+
+def said(image: Image, detections: tuple[Detection, ...]) -> str:
+    centres = np.array([[d.x_px, d.y_px] for d in detections])
+    sizes = np.array([[d.width_px, d.height_px] for d in detections])
+    return second_opinion(image, centres, sizes, NETWORK).verdict
+
+
+def letterboxed(d: Detection) -> Detection:
+    return replace(d, y_px=0.75 * d.y_px + 60.0, height_px=0.75 * d.height_px)
+
+
+def half_a_size_off(d: Detection) -> Detection:
+    return replace(d, x_px=d.x_px + 0.6 * d.width_px, y_px=d.y_px + 0.5 * d.height_px)
+
+
+def corner_for_centre(d: Detection) -> Detection:
+    return replace(d, x_px=d.x_px - 0.5 * d.width_px, y_px=d.y_px - 0.5 * d.height_px)
+
+
+def test_a_panels_own_boxes_are_confirmed(scenes: list[Pictured]) -> None:
+    assert [said(s.image, s.scene.detections) for s in scenes] == [CONFIRMED] * len(scenes)
+
+
+@pytest.mark.parametrize("wrong", [letterboxed, half_a_size_off, corner_for_centre])
+def test_boxes_of_another_frame_are_contradicted(
+    scenes: list[Pictured], wrong: Callable[[Detection], Detection]
+) -> None:
+    verdicts = [said(s.image, tuple(wrong(d) for d in s.scene.detections)) for s in scenes]
+    assert CONFIRMED not in verdicts and verdicts.count(CONTRADICTED) >= len(scenes) - 1
+
+
+def test_the_boxes_of_another_picture_are_refused(scenes: list[Pictured]) -> None:
+    statuses = [
+        fit_panel(one.scene.detections, one.scene.camera, Config(), image=other.image).status
+        for one, other in itertools.pairwise(scenes)
+    ]
+    assert statuses.count("contradicted") >= len(statuses) - 1 and "ok" not in statuses
+
+
+def test_a_black_or_covered_picture_contradicts_nothing(scenes: list[Pictured]) -> None:
+    for s in scenes[:3]:
+        assert said(np.zeros_like(s.image), s.scene.detections) == UNSEEN
+        assert said(cv2.GaussianBlur(s.image, (0, 0), 12.0), s.scene.detections) != CONTRADICTED
+    fit = fit_panel(scenes[0].scene.detections, scenes[0].scene.camera, Config(), image=np.zeros_like(scenes[0].image))
+    assert fit.ok and fit.measurement is None
+
+
+def test_false_negatives_and_some_false_positives_contradict_nothing(scenes: list[Pictured]) -> None:
+    rng = np.random.default_rng(2)
+    for s in scenes:
+        kept = [d for k, d in enumerate(s.scene.detections) if k % 3]
+        false = [
+            replace(kept[0], x_px=float(rng.uniform(0, 640)), y_px=float(rng.uniform(0, 480)))
+            for _ in range(len(kept) // 8)
+        ]
+        assert said(s.image, tuple(kept + false)) == CONFIRMED
+
+
+def test_without_the_witness_the_boxes_are_believed(scenes: list[Pictured]) -> None:
+    """The parameter switches it off: what is then accepted is the measurement's affair."""
+    config = Config(measurement=replace(Config().measurement, witness=False))
+    s, other = scenes[:2]
+    assert fit_panel(s.scene.detections, s.scene.camera, config, image=other.image).status != "contradicted"
