@@ -9,6 +9,7 @@ import pytest
 from elevator_rectify.benchmark.detector import boxes_of, iou, matched, nearness
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Detection, NetworkConfig, detect_buttons
+from elevator_rectify.core.detector.detect import score_model
 from elevator_rectify.core.detector.follow import Found, find_or_follow, followed
 from elevator_rectify.core.detector.peaks import Boxes, probabilities, suppressed
 from elevator_rectify.core.types import Array, Image
@@ -75,8 +76,19 @@ def test_of_overlapping_boxes_the_best_is_kept() -> None:
 
 
 def test_probabilities_rise_with_the_heat() -> None:
-    p = probabilities(np.linspace(0.0, 1.0, 20), {"constant": -0.3, "slope": 1.2})
+    heat = np.linspace(0.1, 0.9, 9)
+    far = np.array([[100.0 * k, 0.0, 100.0 * k + 10.0, 10.0] for k in range(9)])
+    p = probabilities(Boxes(far, heat, np.ones(9, dtype=bool)), score_model())
     assert (np.diff(p) > 0).all() and 0.0 <= p[0] < p[-1] <= 1.0
+
+
+def test_a_doubtful_box_among_sure_ones_of_its_size_is_likelier_a_button() -> None:
+    row = np.array([[15.0 * k, 0.0, 15.0 * k + 10.0, 10.0] for k in range(5)])
+    sure, doubtful = np.array([0.9, 0.9, 0.9, 0.9, 0.4]), np.full(5, 0.4)
+    among_sure, among_doubtful = (
+        probabilities(Boxes(row, heat, np.ones(5, dtype=bool)), score_model())[4] for heat in (sure, doubtful)
+    )
+    assert among_sure > among_doubtful
 
 
 def test_each_true_box_is_taken_once() -> None:

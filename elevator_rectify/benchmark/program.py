@@ -25,6 +25,7 @@ from elevator_rectify.render.levels import LEVELS
 
 # The fixed set's sizes and seed: small enough for every change, with draws that nothing was calibrated on.
 _FIXED_TRIALS, _FIXED_PICTURES, _FIXED_FEW, _FIXED_DRAWS, _FIXED_SEED = 100, 24, 8, 100, 7001
+_FIXED_PANELS = 40
 _LABELLED = {
     "detector": "precision and recall of our own detector",
     "reader": "how much our own reader reads right",
@@ -154,6 +155,10 @@ def _fixed(options: argparse.Namespace, figures: Figures, reference_ms: float) -
         print("\n" + turned_table(options.data, 0, figures))
     if _real(options, "panels_mixed.json"):
         print("\n" + buttons_table(options.data, _FIXED_SEED, 1, reference_ms, figures))
+    if _real(options, "labelled/panels_labelled.json"):
+        folder = options.data / "labelled"
+        print("\n" + detector_table(folder, figures) + "\n\n" + reader_table(folder, figures))
+        print("\n" + end_to_end_table(folder, figures, _FIXED_PANELS))
 
 
 if __name__ == "__main__":

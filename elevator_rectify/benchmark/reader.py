@@ -38,8 +38,8 @@ class Answer:
 def run_picture(task: tuple[str, str]) -> list[Answer]:
     """Read the true boxes of one picture: (folder, name); those of which nobody can say what they read are left out."""
     (picture,) = read_labelled(Path(task[0]), names=(task[1],))
-    chosen = [k for k, label in enumerate(picture.labels) if picture.is_button[k] and _readable(label)]
-    detections = [_detection(picture.boxes_px[k]) for k in chosen]
+    chosen = [k for k, label in enumerate(picture.labels) if picture.is_button[k] and readable(label)]
+    detections = [true_box(picture.boxes_px[k]) for k in chosen]
     answers = []
     for k, read in zip(chosen, read_boxes(picture.image, detections), strict=True):
         label, probability = read.labels[0] if read.labels else ("", 0.0)
@@ -49,12 +49,14 @@ def run_picture(task: tuple[str, str]) -> list[Answer]:
     return answers
 
 
-def _readable(label: str) -> bool:
+def readable(label: str) -> bool:
+    """Tell whether a label, as annotated, is a text or a symbol that the vocabulary has."""
     said = encoded(label)
     return said is not None and (said[0] == "text" or said[0] in SYMBOLS)
 
 
-def _detection(box: Array) -> Detection:
+def true_box(box: Array) -> Detection:
+    """Return an annotated box (4,) as a detection."""
     x0, y0, x1, y1 = (float(v) for v in box)
     return Detection((x0 + x1) / 2.0, (y0 + y1) / 2.0, x1 - x0, y1 - y0)
 

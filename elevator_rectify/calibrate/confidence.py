@@ -16,7 +16,7 @@ from elevator_rectify.benchmark.negatives import KINDS
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
-from elevator_rectify.calibrate import filled
+from elevator_rectify.calibrate import filled, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
 from elevator_rectify.core import confidence
 from elevator_rectify.core.attempts import attempts, best_attempt
@@ -165,8 +165,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--outlines", action="store_true", help="the confidence of fits to the outlines of few buttons")
     parser.add_argument("--buttons", action="store_true", help="which empty cells hold a missed button (real panels)")
+    for name in ("detector", "reader"):
+        parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"our {name}'s scores")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of real panels, with --buttons")
     options = parser.parse_args(arguments)
+    if options.detector is not None:
+        networks.calibrate_detector(options.detector)
+    if options.reader is not None:
+        networks.calibrate_reader(options.reader)
+    if options.detector is not None or options.reader is not None:
+        return 0
     if options.buttons:
         return filled.main(options.data, options.seed)
     function, kinds, usual = examples, (*_LEVELS, *KINDS), 700

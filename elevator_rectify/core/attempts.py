@@ -13,7 +13,7 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.picture.fit import with_picture
-from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, second_opinion
+from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, contradicted, second_opinion
 from elevator_rectify.core.result import joint_fit, layout_of
 from elevator_rectify.core.types import Array, FitResult, Image
 
@@ -135,7 +135,7 @@ def witnessed(
     sizes = np.where(usable.sizes_px > 0, usable.sizes_px, usual)[inlier]
     said = second_opinion(image, centres, sizes, config.network)
     if said.verdict == CONTRADICTED:
-        return replace(believed, status="contradicted", reason=f"the picture contradicts the boxes: {said.reason}")
+        return contradicted(believed, said)
     return boxes if said.verdict == CONFIRMED and not shown.ok else shown
 
 

@@ -13,6 +13,7 @@ from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
+from elevator_rectify.core.picture.witness import contradicted, second_opinion
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, FitResult, Image
@@ -81,7 +82,11 @@ def _by_outlines(usable: Usable, camera: Camera, config: Config, image: Image | 
     """Return the fit to the few buttons' outlines, where there is a picture of them."""
     if image is None or config.method != "joint" or not len(usable.index):
         return refused
-    return few_fit(usable, camera, config, image, refused)
+    fit = few_fit(usable, camera, config, image, refused)
+    if not (fit.ok and config.measurement.witness):
+        return fit
+    centres = camera.project(np.column_stack([usable.rays, np.ones(len(usable.rays))]))
+    return contradicted(fit, second_opinion(image, centres, usable.sizes_px, config.network))
 
 
 def fit_panels(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,10 +27,9 @@ _MOST_AREA = 3.0
 
 
 @cache
-def score_model() -> dict[str, Any]:
+def score_model() -> Array:
     """Return the coefficients of the scores."""
-    model: dict[str, Any] = json.loads(SCORES.read_text())
-    return model
+    return np.array(json.loads(SCORES.read_text())["coefficients"], dtype=float)
 
 
 def detect_buttons(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> list[Detection]:
@@ -44,8 +42,9 @@ def detect_buttons(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> lis
         shape = "(height, width) or (height, width, 3)"
         raise ValueError(f"image must be uint8 of {shape}, not {image.dtype} of {image.shape}")
     found = find_boxes(image, config)
-    score = probabilities(found.heat, score_model())
-    chosen = np.flatnonzero(found.is_button & (score >= config.min_score))
+    score = probabilities(found, score_model())
+    order = np.argsort(-score, kind="stable")
+    chosen = order[found.is_button[order] & (score[order] >= config.min_score)]
     return [_detection(found.boxes_px[k], float(score[k])) for k in chosen]
 
 

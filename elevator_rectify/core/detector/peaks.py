@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +16,8 @@ _LEAST_HEAT = 0.08
 _SAME_IOU = 0.4
 # A box with its centre inside another of so many times its area is that one's print or rim.
 _INSIDE_AREA = 6.0
+# Boxes are alike within this ln of their sizes, and nearby within so many sizes; so many of them support one.
+_ALIKE, _NEARBY, _SUPPORTERS = 0.3, 8.0, 3
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,54 @@ def overlaps(box: Array, others: Array) -> BoolArray:
     return np.asarray((both > _SAME_IOU * (area + areas - both)) | nested)
 
 
-def probabilities(heat: Array, model: dict[str, Any]) -> Array:
-    """Return the calibrated probabilities of peaks of that heat: a logistic of the heat's log odds."""
-    odds = np.log(np.clip(heat, 1e-6, 1.0 - 1e-6) / np.clip(1.0 - heat, 1e-6, 1.0))
-    return np.asarray(1.0 / (1.0 + np.exp(-(model["constant"] + model["slope"] * odds))))
+def features(found: Boxes) -> Array:
+    """Return (N, P) what the probability of a button is computed from, one column being 1.
+
+    Buttons of a panel are alike in size and near each other, and some of them are sure: a box among such is a button
+    with less heat of its own than the dots of a speaker, which are alike too, but none of them sure.
+    """
+    if not len(found.heat):
+        return np.zeros((0, FEATURES))
+    own, support = log_odds(found.heat), log_odds(_support(found))
+    ln_size = np.log(np.maximum(_size(found.boxes_px), 1.0))
+    return np.column_stack([np.ones(len(own)), own, support, own * support / 4.0, _off_size(found, ln_size)])
+
+
+FEATURES = 5
+
+
+def log_odds(probability: Array) -> Array:
+    """Return ln(p / (1 - p)), bounded."""
+    p = np.clip(probability, 1e-4, 1.0 - 1e-4)
+    return np.asarray(np.log(p / (1.0 - p)))
+
+
+def _size(boxes_px: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.prod(boxes_px[:, 2:] - boxes_px[:, :2], axis=1), 1e-9)))
+
+
+def _support(found: Boxes) -> Array:
+    """Return (N,) the mean heat of the three hottest other boxes of like size nearby; 0 where there are none."""
+    size = _size(found.boxes_px)
+    centre = (found.boxes_px[:, :2] + found.boxes_px[:, 2:]) / 2.0
+    alike = np.abs(np.log(size[:, None] / size[None])) < _ALIKE
+    near = np.linalg.norm(centre[:, None] - centre[None], axis=2) < _NEARBY * size[:, None]
+    heat = np.where(alike & near & found.is_button[None] & ~np.eye(len(size), dtype=bool), found.heat[None], 0.0)
+    heat = np.sort(np.pad(heat, ((0, 0), (_SUPPORTERS, 0))), axis=1)[:, -_SUPPORTERS:]
+    return np.asarray(heat.mean(axis=1))
+
+
+def _off_size(found: Boxes, ln_size: Array) -> Array:
+    """Return (N,) how far the box's size is from the usual one of the picture's sure buttons, in ln."""
+    weight = np.where(found.is_button, found.heat**3, 0.0)
+    if weight.sum() <= 0.0:
+        return np.zeros(len(ln_size))
+    order = np.argsort(ln_size)
+    total = np.cumsum(weight[order])
+    usual = ln_size[order][np.searchsorted(total, total[-1] / 2.0)]
+    return np.asarray(np.minimum(np.abs(ln_size - usual), 2.0))
+
+
+def probabilities(found: Boxes, coefficients: Array) -> Array:
+    """Return (N,) the calibrated probabilities that the boxes are buttons: a logistic of their features."""
+    return np.asarray(1.0 / (1.0 + np.exp(-features(found) @ coefficients)))

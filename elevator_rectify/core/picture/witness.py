@@ -6,14 +6,14 @@ resolution) or is only unlike the pictures that the measurement's confidence was
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from elevator_rectify.core.config import NetworkConfig
 from elevator_rectify.core.detector.detect import find_boxes
-from elevator_rectify.core.types import Array, BoolArray, Image
+from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
 
 CONFIRMED, CONTRADICTED, UNSEEN = "confirmed", "contradicted", "unseen"
 # Things hotter than this count as seen; buttons hotter than that count as surely elsewhere.
@@ -56,6 +56,13 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
     if empty > _EMPTY:
         return Opinion(CONTRADICTED, f"{empty:.0%} of the boxes are on nothing in a sharp picture")
     return Opinion(UNSEEN, f"{share:.0%} of the boxes are seen in the picture")
+
+
+def contradicted(fit: FitResult, opinion: Opinion) -> FitResult:
+    """Return the fit, refused where the opinion is that the picture contradicts its boxes."""
+    if opinion.verdict != CONTRADICTED:
+        return fit
+    return replace(fit, status="contradicted", reason=f"the picture contradicts the boxes: {opinion.reason}")
 
 
 def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray, Array]:

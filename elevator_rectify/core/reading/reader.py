@@ -6,6 +6,7 @@ most of it on 'unreadable'.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,8 +25,8 @@ WEIGHTS = Path(__file__).with_name("reader.onnx")
 PATCH_PX, MARGIN = 48, 1.15
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
 _MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
-# Softens the network's certainty; fitted on the validation part (`calibrate --reader`).
-_TEMPERATURE = 1.0
+# Written by `calibrate --reader`: the temperature that softens the network's certainty.
+CALIBRATION = Path(__file__).with_name("reader.json")
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,21 @@ def _network(path: Path) -> Any:
 
 def read_patches(patches: Sequence[Image], weights: Path = WEIGHTS) -> list[Read]:
     """Read square patches (48, 48[, 3]) uint8 in one batch."""
+    return [_read(logits) for logits in logits_of(patches, weights) / _temperature()]
+
+
+def logits_of(patches: Sequence[Image], weights: Path = WEIGHTS) -> Array:
+    """Return the network's logits (N, kinds and slots)."""
     if not len(patches):
-        return []
+        return np.zeros((0, len(KINDS) + SLOTS * (BLANK + 1)))
     network = _network(weights)
     network.setInput(np.stack([_normalised(p) for p in patches])[:, None])
-    return [_read(logits) for logits in network.forward() / _TEMPERATURE]
+    return np.asarray(network.forward())
+
+
+@cache
+def _temperature() -> float:
+    return float(json.loads(CALIBRATION.read_text())["temperature"])
 
 
 def _normalised(patch: Image) -> Array:
@@ -104,12 +115,17 @@ def _texts(slots: Array) -> dict[str, float]:
 
 def read_boxes(image: Image, detections: Sequence[Detection], weights: Path = WEIGHTS) -> list[Read]:
     """Read the boxes of a picture as they are, without a pose."""
+    return read_patches(box_patches(image, detections), weights)
+
+
+def box_patches(image: Image, detections: Sequence[Detection]) -> list[Image]:
+    """Return the boxes with their margin as square patches."""
     patches = []
     for d in detections:
         size = np.maximum([d.width_px, d.height_px], 4.0) * MARGIN
         corners = np.array([d.x_px, d.y_px]) + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
         patches.append(_patch(image, corners))
-    return read_patches(patches, weights)
+    return patches
 
 
 def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> list[Read]:
