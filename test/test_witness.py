@@ -12,6 +12,7 @@ import pytest
 
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Config, Detection, NetworkConfig, fit_panel
+from elevator_rectify.core.detector.peaks import Boxes
 from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, UNSEEN, second_opinion
 from elevator_rectify.core.types import Image
 
@@ -78,6 +79,19 @@ def test_false_negatives_and_some_false_positives_contradict_nothing(scenes: lis
             for _ in range(len(kept) // 8)
         ]
         assert said(s.image, tuple(kept + false)) == CONFIRMED
+
+
+def test_boxes_around_cap_and_plate_are_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The detector sees two things in each; both are off the box's centre to one side."""
+    centres = np.array([[60.0 + 80.0 * k, 100.0] for k in range(6)])
+    left = np.column_stack([centres - np.array([30.0, 15.0]), centres + np.array([0.0, 15.0])]) + 0.5
+    halves = np.concatenate([left, left + np.array([30.0, 0.0, 30.0, 0.0])])
+    found = Boxes(halves, np.full(12, 0.9), np.ones(12, dtype=bool))
+    monkeypatch.setattr("elevator_rectify.core.picture.witness.find_boxes", lambda *given: found)
+    sizes = np.tile([60.0, 30.0], (6, 1))
+    picture = np.zeros((200, 600, 3), np.uint8)
+    assert second_opinion(picture, centres, sizes, NETWORK).verdict == CONFIRMED
+    assert second_opinion(picture, centres + np.array([30.0, 0.0]), sizes, NETWORK).verdict == CONTRADICTED
 
 
 def test_without_the_witness_the_boxes_are_believed(scenes: list[Pictured]) -> None:
