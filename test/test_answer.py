@@ -114,3 +114,16 @@ def test_drawings_are_made_only_where_they_are_wanted() -> None:
         answer, _ = answer_frame(frame(1), Config(), wanted)
         assert (answer.overlay is not None) == ("overlay" in wanted)
         assert (answer.rectified_overlay is not None) == ("rectified_overlay" in wanted)
+
+
+def test_messages_of_another_camera_are_refused() -> None:
+    other = detections(1, VIEW.centres_px)
+    other.header.frame_id = "left_camera"
+    refused, _ = answer_frame(frame(1, detections=other), Config())
+    assert refused.fit.status == "bad_input" and "detections: header.frame_id = 'left_camera'" in refused.fit.reason
+    other.header.frame_id = ""
+    assert answer_frame(frame(1, detections=other), Config())[0].fit.ok, "a detector may leave the frame empty"
+    far = depth("32FC1", 0.6)
+    far.header.frame_id = "left_camera"
+    answer, _ = answer_frame(frame(1, depth=far), Config())
+    assert answer.fit.ok and status(answer)["scale"].startswith("unknown: depth: header.frame_id")

@@ -195,3 +195,30 @@ def test_quaternion_equals_the_rotation(vector: list[float]) -> None:
     point = np.array([0.3, -0.5, 0.8])
     turned = point + 2 * np.cross(half, np.cross(half, point) + w * point)
     np.testing.assert_allclose(turned, rotation(np.array(vector)) @ point, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("field", "K"),
+    [
+        ("principal point", [320, 0, 0, 0, 320, 0, 0, 0, 1]),
+        ("principal point", [640, 0, 640, 0, 640, 480, 0, 0, 1]),
+        ("focal lengths", [20, 0, 320, 0, 20, 240, 0, 0, 1]),
+        ("focal lengths", [5000, 0, 320, 0, 5000, 240, 0, 0, 1]),
+    ],
+)
+def test_intrinsics_of_another_resolution_are_refused(field: str, K: list[float]) -> None:
+    message = camera_info()
+    message.k = [float(v) for v in K]
+    with pytest.raises(BadMessage, match=f"camera_info: k: {field}"):
+        camera_from_message(message)
+
+
+def test_the_field_that_is_wrong_is_named() -> None:
+    message = camera_info()
+    message.d, message.distortion_model = [0.1] * 7, "plumb_bob"
+    with pytest.raises(BadMessage, match="camera_info: distortion_model = 'plumb_bob'"):
+        camera_from_message(message)
+    message = camera_info()
+    message.width = 0
+    with pytest.raises(BadMessage, match="width x height"):
+        camera_from_message(message)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.poses import UNKNOWN_SCALE_VARIANCE
@@ -233,3 +234,16 @@ def test_a_missing_package_is_named(tmp_path: Path) -> None:
         assert harness.until(lambda: bool(harness.node.count_publishers("/diagnostics")))
         harness.until(lambda: False, 1.0)
         assert "sudo apt install ros-jazzy-yolo-msgs" in stop(process)
+
+
+def test_malformed_bytes_on_any_topic_are_skipped_and_the_next_frame_is_answered() -> None:
+    with live() as (process, harness):
+        assert harness.until(harness.connected)
+        for name in ("image", "camera_info", "detections"):
+            whole = bytes(serialize_message(frame(1)[name]))
+            for cut in (4, 5, len(whole) // 2):
+                harness.inputs[name].publish(whole[:cut])
+        harness.until(lambda: False, 1.0)
+        harness.send(**frame(2))
+        assert harness.until(lambda: "ok" in harness.statuses())
+        stop(process)

@@ -183,13 +183,23 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
         raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")
     detections = []
     if frame.detections is not None:
+        _check_frame("detections", frame.detections, ours)
         detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
-    return Inputs(image, camera, detections, _depth(frame.depth))
+    return Inputs(image, camera, detections, _depth(frame.depth, ours))
 
 
-def _depth(message: Any) -> Array | str | None:
+def _check_frame(topic: str, message: Any, ours: str) -> None:
+    """Raise BadMessage for a message of another camera; a detector may leave the frame empty."""
+    theirs = str(message.header.frame_id)
+    if theirs and theirs != ours:
+        raise BadMessage(topic, "header.frame_id", repr(theirs), f"is not the image's {ours!r}")
+
+
+def _depth(message: Any, ours: str) -> Array | str | None:
     """Return the depth in metres, or what is wrong with it: the orientation can be had without."""
     try:
+        if message is not None:
+            _check_frame("depth", message, ours)
         return None if message is None else depth_from_message(message)
     except BadMessage as error:
         return str(error)

@@ -13,6 +13,8 @@ from elevator_rectify.ros.config import DEFAULT_NODE, DetectionsConfig
 from elevator_rectify.ros.pictures import BadMessage
 
 _LONGEST_LABEL = 32
+# Fields of view that panels are looked at with, along the longer side.
+_NARROWEST_DEG, _WIDEST_DEG = 10.0, 170.0
 NUMBER_IDS = (
     "the detections' class ids are bare numbers, which may be labels or indices: set detections.numbers_are_labels, or "
     "detections.labels"
@@ -44,12 +46,17 @@ def camera_from_message(message: Any, topic: str = "camera_info", rectified: boo
     """
     matrix = np.array(message.p, dtype=float).reshape(3, 4)[:, :3] if rectified else np.array(message.k, dtype=float)
     distortion = np.zeros(0) if rectified else np.array(message.d)
+    width, height, name = int(message.width), int(message.height), "p" if rectified else "k"
+    if width <= 0 or height <= 0:
+        raise BadMessage(topic, "width x height", f"{width} x {height}", "cannot be used: it must be positive")
     try:
-        full = Camera.from_matrix(matrix, int(message.width), int(message.height), distortion, message.distortion_model)
+        full = Camera.from_matrix(matrix, width, height, distortion, message.distortion_model)
     except ValueError as error:
-        raise BadMessage(
-            topic, "p" if rectified else "k", matrix.ravel().tolist(), f"cannot be used: {error}"
-        ) from error
+        if "distortion_model" in str(error):
+            model = repr(message.distortion_model)
+            raise BadMessage(topic, "distortion_model", model, f"cannot be used: {error}") from error
+        raise BadMessage(topic, name, matrix.ravel().tolist(), f"cannot be used: {error}") from error
+    _check_plausible(full, topic, name)
     roi, binning = message.roi, np.maximum([message.binning_x, message.binning_y], 1)
     size = np.array([roi.width or full.width, roi.height or full.height])
     offset = np.array([roi.x_offset, roi.y_offset], dtype=float)
@@ -61,6 +68,23 @@ def camera_from_message(message: Any, topic: str = "camera_info", rectified: boo
     K[:2] /= binning[:, None]
     width, height = (int(s) for s in size // binning)
     return Camera(K, width, height, full.distortion, full.model)
+
+
+def _check_plausible(camera: Camera, topic: str, name: str) -> None:
+    """Raise BadMessage for intrinsics that no camera has: those of another resolution, most often."""
+    size = np.array([camera.width, camera.height])
+    share = camera.matrix[:2, 2] / size
+    if not ((share >= 0.25) & (share <= 0.75)).all():
+        factor = float(np.median(2.0 * share))
+        meaning = f"is not in the middle half of {size[0]} x {size[1]}: of another resolution (factor {factor:.2f})?"
+        raise BadMessage(topic, f"{name}: principal point", camera.matrix[:2, 2].round(1).tolist(), meaning)
+    if camera.model == "equidistant":
+        return
+    focal = camera.matrix[[0, 1], [0, 1]]
+    view = np.rad2deg(2.0 * np.arctan(size.max() / 2.0 / focal))
+    if not ((view > _NARROWEST_DEG) & (view < _WIDEST_DEG)).all():
+        meaning = f"gives a field of view of {view.max():.0f} degrees: of another resolution, or not calibrated?"
+        raise BadMessage(topic, f"{name}: focal lengths", focal.round(2).tolist(), meaning)
 
 
 def detections_from_message(

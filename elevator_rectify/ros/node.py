@@ -116,7 +116,7 @@ class ElevatorRectify(Node):
         if self.node_config.use_depth:
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
         for kind, topic, add in streams:
-            subscribe(self, kind, topic, self._feeding(add))
+            subscribe(self, kind, topic, self._feeding(add), self.pairing.add_unreadable)
         # A target set before the node started is that of a latched publisher; each publisher matches one of the two,
         # and that it does not match the other is no news.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -67,6 +67,11 @@ class Pairing:
             self.dropped["image without detections"] += 1
         return self._complete()
 
+    def add_unreadable(self, topic: str) -> None:
+        """Count a message whose bytes are none of its type."""
+        self.received[topic] += 1
+        self.dropped[f"{topic} that cannot be read"] += 1
+
     def add_camera_info(self, message: Any) -> list[Frame]:
         """Keep a camera info."""
         _keep(self._infos, self._received("camera_info", message), message, self.config.max_images)

@@ -35,7 +35,13 @@ def run_node(make: Callable[[], Any], args: list[str] | None) -> int:
     try:
         # A wait without limit would keep the signal from Python until the next message.
         while rclpy.ok():
-            executor.spin_once(timeout_sec=_SIGNAL_SECONDS)
+            try:
+                executor.spin_once(timeout_sec=_SIGNAL_SECONDS)
+            except (KeyboardInterrupt, ExternalShutdownException):
+                raise
+            except Exception as error:
+                # A message that rclpy cannot deserialise, or a defect in a callback: neither may end the node.
+                node.get_logger().error(f"internal error, message skipped: {error!r:.300}", throttle_duration_sec=5.0)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

@@ -59,8 +59,13 @@ def described(qos: QoSProfile) -> str:
     return f"reliability {qos.reliability.name}, durability {qos.durability.name}"
 
 
-def subscribe(node: Node, kind: str, topic: str, add: Callable[[Any], None]) -> Any:
-    """Subscribe; a publisher whose QoS does not match is logged with both sides' settings."""
+def subscribe(
+    node: Node, kind: str, topic: str, add: Callable[[Any], None], bad: Callable[[str], None] = lambda topic: None
+) -> Any:
+    """Subscribe; a publisher whose QoS does not match is logged with both sides' settings.
+
+    bad: counts a message that cannot be read.
+    """
 
     def incompatible(event: Any) -> None:
         # The other node's name is often not known yet when the event comes.
@@ -72,12 +77,22 @@ def subscribe(node: Node, kind: str, topic: str, add: Callable[[Any], None]) -> 
             f"Set qos_overrides.{name}.subscription.* to match"
         )
 
+    def read(data: bytes) -> None:
+        try:
+            message = read_image(kind, data)
+        except Exception as error:
+            # Whatever is wrong with the bytes, and with whichever reader: one message, never the node.
+            node.get_logger().error(f"{name}: not a {kind}: {error!r:.200}", throttle_duration_sec=5.0)
+            bad(topic.split("/")[0])
+            return
+        add(message)
+
     name = node.resolve_topic_name(topic)
     serialised = kind in _IMAGES
     subscription: Any = node.create_subscription(
         ros_type(kind),
         topic,
-        (lambda data: add(read_image(kind, data))) if serialised else add,
+        read if serialised else add,
         sensor_qos(),
         raw=serialised,
         event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),

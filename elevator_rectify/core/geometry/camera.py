@@ -18,6 +18,21 @@ _NEWTON_STEPS = 4
 _ROUND_TRIP_PX = 0.1
 
 
+def _as_modelled(distortion: Array, model: str) -> tuple[Array, str]:
+    """Return coefficients and model of calibrations that are written in another model's length, but mean it.
+
+    An equidistant lens without coefficients is no pinhole: r = f theta. plumb_bob with a tail of zeros, and the first
+    five coefficients of rational_polynomial, are plumb_bob's five.
+    """
+    if model == "equidistant" and not distortion.any():
+        return np.zeros(4), model
+    if model == "plumb_bob" and len(distortion) > 5 and not distortion[5:].any():
+        return distortion[:5], model
+    if model == "rational_polynomial" and len(distortion) in (4, 5):
+        return distortion, "plumb_bob"
+    return distortion, model
+
+
 @dataclass(frozen=True)
 class Camera:
     """Intrinsics of one camera image.
@@ -48,7 +63,11 @@ class Camera:
             raise ValueError(f"camera: uncalibrated, focal lengths K[0], K[4] = {matrix[0, 0]:g}, {matrix[1, 1]:g}")
         if width <= 0 or height <= 0:
             raise ValueError(f"camera: width x height = {width} x {height}, must be positive")
-        if not distortion.any():
+        if matrix[1, 0] or (matrix[2] != (0.0, 0.0, 1.0)).any():
+            form = "[fx s cx; 0 fy cy; 0 0 1]; is it transposed?"
+            raise ValueError(f"camera: K = {matrix.ravel().tolist()} is not {form}")
+        distortion, distortion_model = _as_modelled(distortion, distortion_model)
+        if not distortion.any() and distortion_model != "equidistant":
             return cls(matrix, int(width), int(height))
         if len(distortion) not in COEFFICIENTS.get(distortion_model, ()):
             raise ValueError(
