@@ -34,6 +34,11 @@ class GridFit(FitResult):
         """Return the grid's places, row by row, then the off-grid buttons; none where the pose may not be used."""
         return self.buttons_by(DEFAULT_LABELS)
 
+    @property
+    def keypad(self) -> bool:
+        """Tell whether the buttons are digits to be entered (destination dispatch), no floors."""
+        return self.ok and self.reading.keypad
+
     def buttons_by(self, config: LabelsConfig) -> tuple[Button, ...]:
         """Return the buttons as `buttons` does, with other settings."""
         return buttons_of(self, self.reading, config) if self.ok else ()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from elevator_rectify.core.reading.filled import missed
+from elevator_rectify.core.reading.keypad import is_keypad, signs
 from elevator_rectify.core.reading.misread import is_number, right_alone
 from elevator_rectify.core.reading.places import PanelPlaces, places_of
 from elevator_rectify.core.reading.sequence import Floors, floors_of
@@ -27,24 +28,29 @@ _MOST_PLACES = 400
 @dataclass(frozen=True)
 class Reading:
     """Of K places: present (K,) the probability of a button; floors, None where no number is read; floor_nats (K,) the
-    log odds that their order gives for a floor at a place without a detection, beyond what was known."""
+    log odds that their order gives for a floor at a place without a detection, beyond what was known; keypad: whether
+    the buttons are digits to be entered, no floors."""
 
     places: PanelPlaces
     present: Array
     floors: Floors | None
     floor_nats: Array
+    keypad: bool = False
 
 
 def read_panel(fit: FitResult) -> Reading:
     """Return the reading of a fit that has a grid."""
     places = places_of(fit)
+    keypad = is_keypad(places)
+    if keypad:
+        places = replace(places, label=signs(places))
     filled, prior = places.filled, _prior(fit, places)
     floors, nats = None, np.zeros(len(prior))
-    if any(is_number(text) for text in places.label) and len(places.label) <= _MOST_PLACES:
+    if not keypad and any(is_number(text) for text in places.label) and len(places.label) <= _MOST_PLACES:
         floors = floors_of(places, prior)
         nats = _log_odds(1.0 - floors.other) - _log_odds(prior)
     present = _present(fit, places, nats)
-    return Reading(places, present, None if floors is None else _scaled(floors, present, filled), nats)
+    return Reading(places, present, None if floors is None else _scaled(floors, present, filled), nats, keypad)
 
 
 def _prior(fit: FitResult, places: PanelPlaces) -> Array:

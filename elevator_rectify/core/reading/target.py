@@ -9,6 +9,7 @@ import numpy as np
 from elevator_rectify.core.config import TargetConfig
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
+from elevator_rectify.core.reading.misread import is_number
 from elevator_rectify.core.reading.panel import probability_of
 from elevator_rectify.core.types import Array, Button
 
@@ -37,6 +38,8 @@ def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET
         return Choice(None, "empty_target", "the target is empty")
     if not fit.ok:
         return Choice(None, "no_panel", f"{fit.status}: {fit.reason}")
+    if fit.reading.keypad and is_number(name) and len(name) > 1:
+        return Choice(None, "unknown_label", f"{name} is no button: this is a keypad, enter its digits")
     probability = probability_of(fit.reading, name)
     order = np.argsort(-probability, kind="stable")
     first, second = (float(probability[order[k]]) if k < len(order) else 0.0 for k in (0, 1))
