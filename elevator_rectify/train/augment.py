@@ -30,8 +30,9 @@ def random_crop(picture: LabelledPicture, size_px: int, rng: np.random.Generator
     H = _random_homography(picture, size_px, rng)
     border = cv2.BORDER_REPLICATE if rng.random() < 0.3 else cv2.BORDER_CONSTANT
     fill = tuple(int(v) for v in rng.integers(0, 255, 3))
-    image = cv2.warpPerspective(picture.image, H, (size_px, size_px), flags=cv2.INTER_LINEAR, borderMode=border,
-                                borderValue=fill)
+    image = cv2.warpPerspective(
+        picture.image, H, (size_px, size_px), flags=cv2.INTER_LINEAR, borderMode=border, borderValue=fill
+    )
     boxes = warped_boxes(picture.boxes_px.astype(float), H)
     clipped = np.clip(boxes, 0, size_px)
     area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)

@@ -66,6 +66,7 @@ def heat_loss(logits: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
 
 def box_loss(boxes: Tensor, true: Tensor, weight: Tensor) -> Tensor:
     """Return 1 - the generalised intersection over union (Rezatofighi et al. 2019), weighted mean over the cells."""
+
     def area(b: Tensor) -> Tensor:
         return (b[:, 2] - b[:, 0]).clamp(min=0) * (b[:, 3] - b[:, 1]).clamp(min=0)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 # Pixels of the input per cell of the output.
@@ -72,13 +71,3 @@ class DetectorNet(nn.Module):
         y4 = self.at_4(x4 + self.up(self.from_8(y8)))
         out: Tensor = self.head(y4)
         return out
-
-
-def parameters_of(net: nn.Module) -> int:
-    """Return the number of weights."""
-    return sum(p.numel() for p in net.parameters())
-
-
-if __name__ == "__main__":
-    net = DetectorNet().eval()
-    print(parameters_of(net), net(torch.zeros(1, 3, 480, 640)).shape)

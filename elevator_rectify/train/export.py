@@ -51,10 +51,14 @@ def export(checkpoint: Path, output: Path, side: tuple[int, int]) -> None:
     net = without_identities(folded(net))
     shape = (1, 3, *side) if detector else (1, 1, PATCH, PATCH)
     dynamic = None if detector else {"patches": {0: "n"}, "logits": {0: "n"}}
-    names = {"input_names": ["image"], "output_names": ["out"]} if detector else {
-        "input_names": ["patches"], "output_names": ["logits"]}
-    torch.onnx.export(net, (torch.zeros(shape),), str(output), opset_version=11, dynamo=False, dynamic_axes=dynamic,
-                      **names)
+    names = (
+        {"input_names": ["image"], "output_names": ["out"]}
+        if detector
+        else {"input_names": ["patches"], "output_names": ["logits"]}
+    )
+    torch.onnx.export(
+        net, (torch.zeros(shape),), str(output), opset_version=11, dynamo=False, dynamic_axes=dynamic, **names
+    )
     model = onnx.load(str(output))
     halve(model)
     onnx.save(model, str(output))

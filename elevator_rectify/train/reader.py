@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,10 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from elevator_rectify.core.reading.vocabulary import BLANK, KINDS, SLOTS, encoded
-from elevator_rectify.train.checkpoint import Checkpoint
-from elevator_rectify.train.detector_net import parameters_of
 from elevator_rectify.train.labelled import is_other_thing, read_labelled
+from elevator_rectify.train.loop import add_training, train
 from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, normalised, random_text, spoilt_patch
 from elevator_rectify.train.reader_net import PATCH, ReaderNet
-from elevator_rectify.train.schedule import Average, learning_rate
 
 # Patches are cut from pictures of twice the size: the turn and shear then lose nothing.
 _GROWN = 2
@@ -43,13 +40,21 @@ def samples_of(data: Path, validation: bool | None) -> list[Sample]:
 def weights_of(samples: list[Sample]) -> NDArray[np.float64]:
     """Return how often to draw each sample: rare labels more often than they are, by the root of their number."""
     counts = Counter(label for *_, label in samples)
-    w = np.array([counts[label] ** -0.5 * (0.4 if kind in ("unreadable", "other", "empty") else 1.0)
-                  for _, _, kind, _, label in samples])
+    w = np.array(
+        [
+            counts[label] ** -0.5 * (0.4 if kind in ("unreadable", "other", "empty") else 1.0)
+            for _, _, kind, _, label in samples
+        ]
+    )
     return np.asarray(w / w.sum())
 
 
 def batch_of(
-    samples: list[Sample], weights: NDArray[np.float64], number: int, drawn: float, rng: np.random.Generator,
+    samples: list[Sample],
+    weights: NDArray[np.float64],
+    number: int,
+    drawn: float,
+    rng: np.random.Generator,
     fonts: list[Path],
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return patches (B, 1, S, S), kinds (B,) and slots (B, 4), a share of them drawn."""
@@ -74,55 +79,27 @@ def loss_of(logits: Tensor, kinds: Tensor, slots: Tensor) -> Tensor:
     text = kinds == KINDS.index("text")
     total = cross_entropy(logits[:, : len(KINDS)], kinds, label_smoothing=0.02)
     if text.any():
-        each = logits[text, len(KINDS):].reshape(-1, BLANK + 1)
+        each = logits[text, len(KINDS) :].reshape(-1, BLANK + 1)
         total = total + SLOTS * cross_entropy(each, slots[text].reshape(-1), label_smoothing=0.01) * text.float().mean()
     return total
-
-
-def train(args: argparse.Namespace) -> None:
-    """Train from the checkpoint where there is one, and write a checkpoint every few minutes."""
-    torch.set_num_threads(args.threads)
-    torch.manual_seed(args.seed)
-    net = ReaderNet()
-    average = Average(net)
-    optimiser = torch.optim.AdamW(net.parameters(), lr=args.rate, weight_decay=1e-2)
-    checkpoint = Checkpoint(args.checkpoint, net, average, optimiser)
-    step = checkpoint.load()
-    samples, fonts = samples_of(args.data, None if args.all else False), font_files()
-    weights, begun, mean = weights_of(samples), time.time(), 0.0
-    print(f"{parameters_of(net)} weights, {len(samples)} boxes, {len(fonts)} fonts, from step {step}", flush=True)
-    net.train()
-    while step < args.steps:
-        rng = np.random.default_rng([args.seed, step])
-        patches, kinds, slots = batch_of(samples, weights, args.batch, args.drawn, rng, fonts)
-        for group in optimiser.param_groups:
-            group["lr"] = learning_rate(step, args.steps, args.rate)
-        loss = loss_of(net(patches), kinds, slots)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(net.parameters(), 5.0)
-        optimiser.step()
-        average.update(net, step)
-        mean = loss.item() if mean == 0.0 else 0.99 * mean + 0.01 * loss.item()
-        step += 1
-        if step % 100 == 0:
-            print(f"step {step} loss {mean:.3f} {time.time() - begun:.0f} s", flush=True)
-        checkpoint.save(step, now=step == args.steps)
 
 
 def main() -> None:
     """Read the command line and train."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, help="folder with panels_labelled.json and pictures/")
-    parser.add_argument("--checkpoint", type=Path, default=Path("reader.pt"))
-    parser.add_argument("--steps", type=int, default=12000)
-    parser.add_argument("--batch", type=int, default=96)
+    add_training(parser, "reader", steps=7000, batch=96, rate=2e-3)
     parser.add_argument("--drawn", type=float, default=0.3, help="share of drawn patches")
-    parser.add_argument("--rate", type=float, default=2e-3)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--all", action="store_true", help="train on the validation part too")
-    train(parser.parse_args())
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    torch.manual_seed(args.seed)
+    net, samples, fonts = ReaderNet(), samples_of(args.data, None if args.all else False), font_files()
+    weights = weights_of(samples)
+
+    def of_batch(rng: np.random.Generator) -> Tensor:
+        patches, kinds, slots = batch_of(samples, weights, args.batch, args.drawn, rng, fonts)
+        return loss_of(net(patches), kinds, slots)
+
+    train(net, of_batch, args, decay=1e-2)
 
 
 if __name__ == "__main__":
