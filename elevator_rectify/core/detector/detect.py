@@ -22,6 +22,8 @@ _SMALL_PX, _FINE_PX = 18.0, 28.0
 _MARGIN, _FEWEST, _SURE = 0.15, 3, 0.3
 # Pictures are not enlarged beyond what the network has learnt from.
 _LARGEST_SCALE = 2.5
+# With fewer buttons there is no lattice that would tell them from other things.
+_FEW = 6
 # It costs no more than this many of the first pass's pixels.
 _MOST_AREA = 3.0
 
@@ -45,6 +47,8 @@ def detect_buttons(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> lis
     score = probabilities(found, score_model())
     order = np.argsort(-score, kind="stable")
     chosen = order[found.is_button[order] & (score[order] >= config.min_score)]
+    if len(chosen) < _FEW:
+        chosen = chosen[score[chosen] >= config.min_score_few]
     return [_detection(found.boxes_px[k], float(score[k])) for k in chosen]
 
 
