@@ -255,7 +255,7 @@ class NetworkConfig(Checked):
     detector_side_px: int = value(640, "the picture's longer side as the detector sees it", low=128, high=4096)
     min_score: float = value(0.4, "buttons that are less probable are left out", low=0.0, high=1.0)
     min_score_few: float = value(
-        0.85, "the same where fewer than six are found: no lattice tells them from other things then", low=0.0, high=1.0
+        0.65, "the same where fewer than six are found: no lattice tells them from other things then", low=0.0, high=1.0
     )
     keyframe_s: float = value(
         0.5, "the detector looks this often; between, the boxes follow the picture; 0: every frame", low=0.0, high=100.0
