@@ -160,6 +160,13 @@ def test_the_order_of_the_boxes_does_not_matter() -> None:
     assert replace(one, cells=other.cells).status == other.status
 
 
+def test_boxes_without_extent_show_no_outlines() -> None:
+    """Sizes next to nothing once met an empty picture, and a ratio of zeros."""
+    tiny = [Detection(0.0, 0.0, 8.5e-280, 8.5e-280), Detection(300.0, 1.0, 1.0, 8.5e-280)]
+    fit = fit_panel(tiny, paper_camera(), image=NOISE)
+    assert fit.status == "too_few_detections" and "less than 2 px" in fit.reason
+
+
 NOISE = np.random.default_rng(1).integers(0, 255, (480, 640, 3), dtype=np.uint8)
 PLATE = cv2.cvtColor(plate(rotation(np.array([0.3, 0.1, 0.0]))), cv2.COLOR_GRAY2BGR)
 numbers = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-50.0, 700.0))

@@ -174,6 +174,7 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
     """Return the frame's messages as values. Raises BadMessage where they cannot be used together."""
     image = image_from_message(frame.image) if with_picture else None
     size = check_image(frame.image) if image is None else (int(image.shape[0]), int(image.shape[1]))
+    _check_size(frame.camera_info, size)
     camera = camera_from_message(frame.camera_info, rectified=node.image_is_rectified)
     ours, theirs = str(frame.image.header.frame_id), str(frame.camera_info.header.frame_id)
     if ours != theirs:
@@ -186,6 +187,14 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
         _check_frame("detections", frame.detections, ours)
         detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
     return Inputs(image, camera, detections, _depth(frame.depth, ours))
+
+
+def _check_size(info: Any, size: tuple[int, int] | None) -> None:
+    """Raise BadMessage where a camera_info of the whole sensor is of another size than the image."""
+    whole = not (info.roi.width or info.roi.height) and max(info.binning_x, info.binning_y) <= 1
+    if size is not None and whole and size != (info.height, info.width):
+        text = f"{info.width} x {info.height}"
+        raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")
 
 
 def _check_frame(topic: str, message: Any, ours: str) -> None:

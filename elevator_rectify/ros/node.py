@@ -111,7 +111,7 @@ class ElevatorRectify(Node):
         image = ("sensor_msgs/msg/Image", "image")
         if self.node_config.image_transport == "compressed":
             image = ("sensor_msgs/msg/CompressedImage", compressed_topic(self))
-        streams = [(*image, self.pairing.add_image)]
+        streams = [(*image, self._add_image)]
         streams.append(("sensor_msgs/msg/CameraInfo", "camera_info", self.pairing.add_camera_info))
         if self.node_config.use_depth:
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
@@ -135,6 +135,12 @@ class ElevatorRectify(Node):
         self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
         self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=steady)
 
+    def _add_image(self, message: Any) -> list[Frame]:
+        """Pair the image, or hand it to our own detector where nobody publishes detections."""
+        if not self.pairing.needs_detections:
+            self._choose_detector()
+        return self.pairing.add_image(message)
+
     def _add_detections(self, message: Any) -> list[Frame]:
         """Pair the message; with `detector: auto` the first one shows that there is a detector."""
         if not self._had_detections:
@@ -147,7 +153,7 @@ class ElevatorRectify(Node):
         if self.node_config.detector != "auto":
             return
         young = time.monotonic() - self._started < _OWN_AFTER_SECONDS
-        needed = self._had_detections or self._detections.published or young
+        needed = self._had_detections or young or self.count_publishers(self._silence.names["detections"]) > 0
         if needed != self.pairing.needs_detections:
             self.pairing.needs_detections = needed
             source = "the topic" if needed else "our own detector, nobody publishes them"

@@ -24,6 +24,7 @@ METHOD = "outlines"
 COEFFICIENTS = Path(__file__).with_name("confidence.json")
 FEATURES = ("margin", "seen share", "ln residual px", "ln tilt std", "buttons", "round", "tilt", "cost a point")
 _MARGIN_NATS = 20.0
+_LEAST_BOX_PX = 2.0
 _LEAST_SEEN, _LARGEST_RESIDUAL_PX = 0.6, 2.0
 # What a circle says of its turn in the plane: nothing; cameras are held upright to this.
 _UPRIGHT_STD_RAD = 0.1
@@ -42,6 +43,8 @@ def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refuse
     boxes = np.column_stack([camera.pixels(usable.rays), usable.sizes_px])
     if not (usable.sizes_px > 0).all():
         return replace(refused, reason=f"{refused.reason}; boxes without sizes show no outlines")
+    if (usable.sizes_px < _LEAST_BOX_PX).any():
+        return replace(refused, reason=f"{refused.reason}; boxes of less than {_LEAST_BOX_PX:g} px show no outlines")
     if (usable.sizes_px > [camera.width, camera.height]).any():
         return replace(refused, reason=f"{refused.reason}; a box is larger than the picture")
     found = fit_few(boxes, image, camera, config)
