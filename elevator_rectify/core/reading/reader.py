@@ -132,7 +132,7 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
     """Read the detections of an accepted fit, each in the panel's plane: upright, and seen from the front."""
     unit = _units(fit, camera)
     patches = []
-    for d, ray, size in zip(fit.detections, fit.rays, unit, strict=True):
+    for ray, size in zip(fit.rays, unit, strict=True):
         if not np.isfinite(ray).all() or not np.isfinite(size).all():
             patches.append(np.zeros((PATCH_PX, PATCH_PX), np.uint8))
             continue
@@ -141,7 +141,6 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
         plane = centre + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
         points = plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
         patches.append(_patch(image, camera.project(points)))
-        del d
     return read_patches(patches, weights)
 
 
