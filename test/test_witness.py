@@ -13,7 +13,7 @@ import pytest
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Config, Detection, NetworkConfig, fit_panel
 from elevator_rectify.core.detector.peaks import Boxes
-from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, UNSEEN, second_opinion
+from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, UNSEEN, _seen, second_opinion
 from elevator_rectify.core.types import Image
 
 NETWORK = NetworkConfig()
@@ -99,3 +99,13 @@ def test_without_the_witness_the_boxes_are_believed(scenes: list[Pictured]) -> N
     config = Config(measurement=replace(Config().measurement, witness=False))
     s, other = scenes[:2]
     assert fit_panel(s.scene.detections, s.scene.camera, config, image=other.image).status != "contradicted"
+
+
+def test_a_cap_in_the_box_of_cap_and_plate_is_no_shift() -> None:
+    centres, sizes = np.array([[30.0, 30.0], [30.0, 70.0], [80.0, 30.0]]), np.full((3, 2), 20.0)
+    cap = np.column_stack([centres - sizes / 2.0, centres + sizes / 2.0]) + 0.5
+    with_plate = cap + np.array([-14.0, 0.0, 0.0, 0.0])
+    for things, expected in ((cap, 0.0), (with_plate, 0.0), (cap + np.array([6.0, 0.0, 6.0, 0.0]), 0.3)):
+        seen, shift = _seen(things, centres, sizes)
+        assert seen.all()
+        np.testing.assert_allclose(np.linalg.norm(shift), expected, atol=1e-9)

@@ -27,7 +27,7 @@ def batch_of(pictures: list[LabelledPicture], size: int, number: int, rng: np.ra
 def main() -> None:
     """Read the command line and train."""
     parser = argparse.ArgumentParser(description=__doc__)
-    add_training(parser, "detector", steps=16000, batch=8, rate=3e-3)
+    add_training(parser, "detector", steps=30000, batch=8, rate=3e-3)
     parser.add_argument("--size", type=int, default=288, help="side of the crops, a multiple of 32")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)

@@ -69,18 +69,20 @@ def contradicted(fit: FitResult, opinion: Opinion) -> FitResult:
 
 def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray, Array]:
     """Return (N,) which boxes have one of the things (M, 4) at their centre, or are filled by several, and the median
-    shift (2,) of those, in sizes."""
+    shift (2,) of those, in sizes, as far as the thing's larger box (a cap with its plate) does not explain it."""
     if not len(things):
         return np.zeros(len(centres_px), dtype=bool), np.zeros(2)
     off = (centres_px[:, None] - _centres(things)[None]) / sizes_px[:, None]
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     own = off[np.arange(len(off)), nearest]
+    larger = np.maximum(things[nearest, 2:] - things[nearest, :2] - sizes_px, 0.0) / (2.0 * sizes_px)
+    shift = np.sign(own) * np.maximum(np.abs(own) - larger, 0.0)
     for k in range(len(centres_px)):
         whole = _whole(things[(np.abs(off[k]) < 0.5).all(axis=1)], centres_px[k], sizes_px[k])
         if whole is not None:
-            own[k] = whole
+            own[k] = shift[k] = whole
     seen = np.asarray(np.linalg.norm(own, axis=1) < _NEAR)
-    return seen, np.median(own[seen], axis=0) if seen.any() else np.zeros(2)
+    return seen, np.median(shift[seen], axis=0) if seen.any() else np.zeros(2)
 
 
 def _whole(inside: Array, centre_px: Array, size_px: Array) -> Array | None:
