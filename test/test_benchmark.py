@@ -89,7 +89,7 @@ def test_the_program_prints_what_the_picture_adds(capsys: pytest.CaptureFixture[
     options = [
         "--pictures",
         "--trials",
-        "4",
+        "2",
         "--levels",
         "easy",
         "--draws",
