@@ -11,8 +11,19 @@ from hypothesis import strategies as st
 from elevator_rectify.benchmark.pictures import pictured
 from elevator_rectify.core import Config, Detection, find_panel, fit_panel
 from elevator_rectify.core.find import with_labels
-from elevator_rectify.core.reading.reader import PATCH_PX, Read, labelled, read_boxes, read_in_plane, read_patches
-from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, SLOTS, SYMBOLS, encoded
+from elevator_rectify.core.reading.reader import (
+    PATCH_PX,
+    Read,
+    _mean,
+    _softmax,
+    labelled,
+    logits_of,
+    read_boxes,
+    read_in_plane,
+    read_patches,
+    view_logits,
+)
+from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS, encoded
 
 
 @examples(st.text(CHARACTERS, min_size=1, max_size=SLOTS))
@@ -110,3 +121,19 @@ def test_a_picture_without_a_panel_gives_a_reason() -> None:
     for picture in (np.zeros((480, 640, 3), np.uint8), rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)):
         fit = find_panel(picture, camera)
         assert not fit.ok and fit.reason
+
+
+def test_a_second_view_that_says_the_same_changes_no_probability() -> None:
+    logits = logits_of([patch("7"), patch("12")])
+    same = _mean(logits, logits + 3.0)
+    for part in (slice(0, len(KINDS)), slice(len(KINDS), len(KINDS) + BLANK + 1)):
+        np.testing.assert_allclose(_softmax(same[:, part]), _softmax(logits[:, part]), atol=1e-6)
+
+
+def test_only_large_buttons_are_seen_twice_and_missing_places_are_allowed() -> None:
+    image = np.full((200, 200, 3), 120, np.uint8)
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    corners = [square * 40.0 + 20.0, square * 15.0 + 90.0, np.full((4, 2), np.nan)]
+    logits, twice = view_logits(image, corners)
+    assert twice.tolist() == [True, False, False] and np.isfinite(logits).all()
+    assert len(view_logits(image, [])[0]) == 0 and read_boxes(image, []) == []

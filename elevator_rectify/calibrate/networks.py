@@ -60,27 +60,32 @@ def _f1(said: Array, right: Array) -> float:
     return float(2.0 * (said * right).sum() / max(1.0, said.sum() + right.sum()))
 
 
-def logits_of(task: tuple[str, str]) -> list[tuple[Array, int, tuple[int, ...]]]:
-    """Return logits, kind and slots of the readable buttons of a picture: (folder, name)."""
+def logits_of(task: tuple[str, str]) -> list[tuple[Array, int, tuple[int, ...], bool]]:
+    """Return logits, kind, slots and whether it was seen twice of the readable buttons of a picture: (folder, name)."""
     (picture,) = read_labelled(Path(task[0]), names=(task[1],))
     chosen = [k for k, label in enumerate(picture.labels) if picture.is_button[k] and readable(label)]
-    patches = reader.box_patches(picture.image, [true_box(picture.boxes_px[k]) for k in chosen])
+    corners = reader.box_corners_px([true_box(picture.boxes_px[k]) for k in chosen])
     said = [encoded(picture.labels[k]) for k in chosen]
-    logits = reader.logits_of(patches)
-    return [(row, KINDS.index(s[0]), s[1]) for row, s in zip(logits, said, strict=True) if s is not None]
+    logits, twice = reader.view_logits(picture.image, corners)
+    return [(row, KINDS.index(s[0]), s[1], bool(t)) for row, s, t in zip(logits, said, twice, strict=True) if s]
 
 
 def calibrate_reader(folder: Path) -> None:
-    """Find the temperature at which the true labels are likeliest, and write it beside the reader."""
+    """Find the temperatures at which the true labels are likeliest, and write them beside the reader."""
     tasks = [(str(folder), p.name) for p in read_labelled(folder, validation=True)]
     examples = [e for several in parallel(logits_of, tasks, "logits") for e in several]
+    twice = [e for e in examples if e[3]]
+    found = {"one_view": _best_temperature([e for e in examples if not e[3]]), "two_views": _best_temperature(twice)}
+    reader.CALIBRATION.write_text(json.dumps({"temperature": found}) + "\n")
+    print(f"{len(examples)} buttons, {len(twice)} of them seen twice: {reader.CALIBRATION.read_text().strip()}")
+
+
+def _best_temperature(examples: list[tuple[Array, int, tuple[int, ...], bool]]) -> float:
+    """Return the temperature of the least cost over the examples' logits, kinds and slots."""
     logits, kinds = np.stack([e[0] for e in examples]), np.array([e[1] for e in examples])
     slots = np.array([e[2] for e in examples])
     cost = [_cost(logits / t, kinds, slots) for t in _TEMPERATURES]
-    best = float(_TEMPERATURES[int(np.argmin(cost))])
-    reader.CALIBRATION.write_text(json.dumps({"temperature": round(best, 3)}) + "\n")
-    before = _cost(logits, kinds, slots)
-    print(f"{len(kinds)} buttons: temperature {best:.2f}, cost {min(cost):.4f} a button, {before:.4f} at 1")
+    return round(float(_TEMPERATURES[int(np.argmin(cost))]), 3)
 
 
 def _cost(logits: Array, kinds: IntArray, slots: IntArray) -> float:

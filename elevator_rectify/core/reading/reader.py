@@ -18,14 +18,16 @@ import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
-from elevator_rectify.core.types import Array, Detection, FitResult, Image
+from elevator_rectify.core.types import Array, BoolArray, Detection, FitResult, Image
 
 WEIGHTS = Path(__file__).with_name("reader.onnx")
 # Side of a patch, and what it shows over the box, as in training.
 PATCH_PX, MARGIN = 48, 1.15
+# Buttons of this many pixels and more are read from closer, too: so much of the patch's side.
+_LEAST_CLOSE_PX, _CLOSE = 20.0, 0.85 / 1.15
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
 _MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
-# Written by `calibrate --reader`: the temperature that softens the network's certainty.
+# Written by `calibrate --reader`: the temperatures, by the number of views, that soften the network's certainty.
 CALIBRATION = Path(__file__).with_name("reader.json")
 
 
@@ -54,7 +56,7 @@ def _network(path: Path) -> Any:
 
 def read_patches(patches: Sequence[Image], weights: Path = WEIGHTS) -> list[Read]:
     """Read square patches (48, 48[, 3]) uint8 in one batch."""
-    return [_read(logits) for logits in logits_of(patches, weights) / _temperature()]
+    return [_read(logits) for logits in logits_of(patches, weights) / _temperature("one_view")]
 
 
 def logits_of(patches: Sequence[Image], weights: Path = WEIGHTS) -> Array:
@@ -67,8 +69,8 @@ def logits_of(patches: Sequence[Image], weights: Path = WEIGHTS) -> Array:
 
 
 @cache
-def _temperature() -> float:
-    return float(json.loads(CALIBRATION.read_text())["temperature"])
+def _temperature(views: str) -> float:
+    return float(json.loads(CALIBRATION.read_text())["temperature"][views])
 
 
 def _normalised(patch: Image) -> Array:
@@ -115,33 +117,59 @@ def _texts(slots: Array) -> dict[str, float]:
 
 def read_boxes(image: Image, detections: Sequence[Detection], weights: Path = WEIGHTS) -> list[Read]:
     """Read the boxes of a picture as they are, without a pose."""
-    return read_patches(box_patches(image, detections), weights)
+    return _read_views(image, box_corners_px(detections), weights)
 
 
-def box_patches(image: Image, detections: Sequence[Detection]) -> list[Image]:
-    """Return the boxes with their margin as square patches."""
-    patches = []
-    for d in detections:
-        size = np.maximum([d.width_px, d.height_px], 4.0) * MARGIN
-        corners = np.array([d.x_px, d.y_px]) + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
-        patches.append(_patch(image, corners))
-    return patches
+def box_corners_px(detections: Sequence[Detection]) -> list[Array]:
+    """Return the corners (4, 2) of the boxes with their margin, clockwise from the upper left."""
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * MARGIN
+    return [np.array([d.x_px, d.y_px]) + square * np.maximum([d.width_px, d.height_px], 4.0) for d in detections]
 
 
 def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> list[Read]:
     """Read the detections of an accepted fit, each in the panel's plane: upright, and seen from the front."""
-    unit = _units(fit, camera)
-    patches = []
-    for ray, size in zip(fit.rays, unit, strict=True):
+    corners = []
+    for ray, size in zip(fit.rays, _units(fit, camera), strict=True):
         if not np.isfinite(ray).all() or not np.isfinite(size).all():
-            patches.append(np.zeros((PATCH_PX, PATCH_PX), np.uint8))
+            corners.append(np.full((4, 2), np.nan))
             continue
-        half = 0.5 * MARGIN * size
-        centre = _on_panel(fit, ray)
-        plane = centre + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-        points = plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
-        patches.append(_patch(image, camera.project(points)))
-    return read_patches(patches, weights)
+        plane = _on_panel(fit, ray) + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5 * MARGIN * size
+        corners.append(camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel))
+    return _read_views(image, corners, weights)
+
+
+def _read_views(image: Image, corners_px: Sequence[Array], weights: Path) -> list[Read]:
+    logits, twice = view_logits(image, corners_px, weights)
+    temperature = np.where(twice, _temperature("two_views"), _temperature("one_view"))
+    return [_read(each) for each in logits / temperature[:, None]]
+
+
+def view_logits(image: Image, corners_px: Sequence[Array], weights: Path = WEIGHTS) -> tuple[Array, BoolArray]:
+    """Return the logits of quadrangles (4, 2) of the picture, NaN where there is none, and which were seen twice.
+
+    Large ones are read from closer, too: the wide view shows the symbols and a plate's text whole, the close one a
+    small text in a large cap.
+    """
+    known = [bool(np.isfinite(c).all()) for c in corners_px]
+    blank = np.zeros((PATCH_PX, PATCH_PX), np.uint8)
+    logits = logits_of([_patch(image, c) if k else blank for c, k in zip(corners_px, known, strict=True)], weights)
+    large = [k and _side_px(c) >= _LEAST_CLOSE_PX * MARGIN for c, k in zip(corners_px, known, strict=True)]
+    twice = np.array(large, dtype=bool)
+    near = [
+        _patch(image, c.mean(axis=0) + _CLOSE * (c - c.mean(axis=0)))
+        for c, k in zip(corners_px, large, strict=True)
+        if k
+    ]
+    if near:
+        logits[twice] = _mean(logits[twice], logits_of(near, weights))
+    return logits, twice
+
+
+def _mean(a: Array, b: Array) -> Array:
+    """Return the logits (N, kinds and slots) of the mean of two views' probabilities."""
+    kinds = np.log(0.5 * (_softmax(a[:, : len(KINDS)]) + _softmax(b[:, : len(KINDS)])))
+    slots = [_softmax(v[:, len(KINDS) :].reshape(len(v), SLOTS, BLANK + 1)) for v in (a, b)]
+    return np.hstack([kinds, np.log(0.5 * (slots[0] + slots[1])).reshape(len(a), -1)])
 
 
 def _on_panel(fit: FitResult, ray: Array) -> Array:
@@ -176,11 +204,14 @@ def _units(fit: FitResult, camera: Camera) -> Array:
     return np.array(sizes).reshape(-1, 2)
 
 
+def _side_px(corners_px: Array) -> float:
+    return float(np.sqrt(abs(cv2.contourArea(corners_px.astype(np.float32)))))
+
+
 def _patch(image: Image, corners_px: Array) -> Image:
     """Return the quadrangle (4, 2) of the picture, clockwise from its upper left corner, as a square patch."""
-    side = float(np.sqrt(abs(cv2.contourArea(corners_px.astype(np.float32)))))
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) * PATCH_PX - 0.5
-    factor = max(1.0, side / PATCH_PX)
+    factor = max(1.0, _side_px(corners_px) / PATCH_PX)
     M = cv2.getPerspectiveTransform(corners_px.astype(np.float32), square)
     low = np.clip(np.floor(corners_px.min(axis=0)) - 4, 0, [image.shape[1] - 1, image.shape[0] - 1]).astype(int)
     high = np.clip(np.ceil(corners_px.max(axis=0)) + 5, low + 1, [image.shape[1], image.shape[0]]).astype(int)
