@@ -21,7 +21,7 @@ demo: setup
 
 test: lint $(VENV)/ready-interfaces
 	rm -f .cache/coverage.*
-	$(BIN)/python -m coverage run -m pytest -q --all --durations=8
+	$(BIN)/python -m coverage run -m pytest -q --all --durations=8 $(PYTEST)
 	$(BIN)/python -m coverage combine -q && $(BIN)/python -m coverage report
 
 # A fixed set of benchmarks beside the committed figures; fails where a rate fell by more than its sampling error.
