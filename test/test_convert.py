@@ -7,10 +7,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from elevator_rectify.core import Detection
 from elevator_rectify.core.geometry.rotations import rotation
+from elevator_rectify.render.bag import header_message as make_bag_header
+from elevator_rectify.ros.bag import make_bag_message
+from elevator_rectify.ros.config import DetectionsConfig
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message
+from elevator_rectify.ros.detections import boxes_message
 from elevator_rectify.ros.messages import make_ros
-from elevator_rectify.ros.pictures import ENCODINGS, BadMessage, check_image, depth_from_message, image_from_message
+from elevator_rectify.ros.pictures import (
+    ENCODINGS,
+    BadMessage,
+    announced_size,
+    check_image,
+    depth_from_message,
+    image_from_message,
+)
 from elevator_rectify.ros.poses import quaternion
 from test.messages import camera_info, detections, header, image
 
@@ -114,6 +126,65 @@ def test_any_image_is_converted_or_refused(
             assert len(str(error)) < 700
             continue
         assert width > 0 and height > 0 and step * height <= len(data)
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+def test_cameras_of_ten_or_twelve_bits_can_be_seen(encoding: str, bits: int) -> None:
+    ramp = np.arange(0, 1 << bits, 1 << (bits - 8), dtype="<u2").reshape(8, 32)
+    message = raw(encoding, ramp.view(np.uint8))
+    message.width = 32
+    np.testing.assert_array_equal(image_from_message(message).ravel(), np.arange(256))
+
+
+@pytest.mark.parametrize("encoding", ["nv12", "nv21"])
+def test_colours_in_a_plane_of_their_own(encoding: str) -> None:
+    colour = np.full((4, 6, 3), [30, 160, 220], np.uint8)
+    planar = cv2.cvtColor(colour, cv2.COLOR_BGR2YUV_I420)
+    u, v = planar[4:].reshape(2, -1)
+    pairs = np.stack([u, v] if encoding == "nv12" else [v, u], axis=-1).reshape(2, 6)
+    message = raw(encoding, np.vstack([planar[:4], pairs]), 2)
+    message.height, message.width = 4, 6
+    # Rounding of three samples and the conversion's constants.
+    np.testing.assert_allclose(image_from_message(message).astype(int), colour.astype(int), atol=6)
+    assert check_image(message) == (4, 6)
+    message.data = message.data[:-1]
+    with pytest.raises(BadMessage, match="shorter"):
+        check_image(message)
+
+
+def test_four_channels_of_any_name_and_depth() -> None:
+    alpha = np.dstack([PICTURE, np.full(PICTURE.shape[:2], 9, np.uint8)])
+    np.testing.assert_array_equal(image_from_message(raw("8UC4", alpha)), PICTURE)
+    deep = raw("rgba16", np.ascontiguousarray(alpha[..., [2, 1, 0, 3]].astype("<u2") << 8).view(np.uint8))
+    deep.width = PICTURE.shape[1]
+    np.testing.assert_array_equal(image_from_message(deep), PICTURE)
+
+
+def test_text_of_messages_cannot_steer_a_terminal() -> None:
+    message = raw("bgr8\x1b[2J\n" + "x" * 500, PICTURE)
+    with pytest.raises(BadMessage) as caught:
+        image_from_message(message)
+    text = str(caught.value)
+    assert text.isprintable() and "\\x1b" in text and "x" * 150 not in text
+
+
+@pytest.mark.parametrize("ending", [".png", ".jpg"])
+def test_a_picture_that_would_be_too_large_is_not_decoded(ending: str) -> None:
+    data = cv2.imencode(ending, np.zeros((3000, 4000), np.uint8))[1].tobytes()
+    assert announced_size(data) == (4000, 3000)
+    message = make_ros("sensor_msgs/msg/CompressedImage", header=header(0), format=ending)
+    message.data = array.array("B", data)
+    assert image_from_message(message).shape == (3000, 4000)
+    with pytest.raises(BadMessage, match=r"4000 x 3000 is more than 11\.9 megapixels"):
+        image_from_message(message, max_pixels=11_900_000)
+
+
+@given(data=st.binary(max_size=64))
+def test_any_header_of_a_picture_is_read_or_not(data: bytes) -> None:
+    for start in (b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"):
+        size = announced_size(start + data)
+        assert size is None or min(size) >= 0
 
 
 def test_compressed_pictures() -> None:
@@ -222,3 +293,16 @@ def test_the_field_that_is_wrong_is_named() -> None:
     message.width = 0
     with pytest.raises(BadMessage, match="width x height"):
         camera_from_message(message)
+
+
+def test_classes_that_are_no_buttons_are_left_out_and_unread_ones_have_no_label() -> None:
+    names = ["B2", "led", "Keyhole", "bt_keyhole", "text_open", "speaker", "unknown", "blur", "B1", "7", "open"]
+    given_ = [Detection(float(k), 1.0, 9.0, 9.0, name, 0.9) for k, name in enumerate(names)]
+    message = boxes_message(given_, make_bag_header(0, "camera"), make_bag_message)
+    found = detections_from_message(message)
+    assert [d.label for d in found] == ["B2", "", "", "B1", "", "open"]
+    assert [d.x_px for d in found] == [0.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+    kept = detections_from_message(message, DetectionsConfig(ignore=""))
+    assert len(kept) == len(names)
+    mapped = detections_from_message(message, DetectionsConfig(labels="7=led, led=8", ignore=" LED "))
+    assert [d.x_px for d in mapped if d.label == "8"] == [1.0] and 9.0 not in [d.x_px for d in mapped]

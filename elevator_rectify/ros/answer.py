@@ -172,7 +172,8 @@ def _with_drawings(answer: Answer, given: Inputs, wanted: Collection[str]) -> An
 
 def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
     """Return the frame's messages as values. Raises BadMessage where they cannot be used together."""
-    image = image_from_message(frame.image) if with_picture else None
+    most = node.max_megapixels * 1_000_000
+    image = image_from_message(frame.image, max_pixels=most) if with_picture else None
     size = check_image(frame.image) if image is None else (int(image.shape[0]), int(image.shape[1]))
     _check_size(frame.camera_info, size)
     camera = camera_from_message(frame.camera_info, rectified=node.image_is_rectified)

@@ -21,6 +21,10 @@ class DetectionsConfig(Checked):
         "auto", "type of the detections; auto: the one that is published", choices=("auto", *DETECTION_TYPES)
     )
     labels: str = value("", "labels of class ids, such as '0=B, 1=1, 2=open'")
+    ignore: str = value(
+        "led,display*,indicator*,*keyhole*,switch,speaker,text,text_*,other",
+        "classes that are no buttons, with wildcards: their boxes are left out",
+    )
     numbers_are_labels: bool = value(False, "a class id that is a bare number is the button's label, no index")
     image_width_px: int = value(0, "width of the image that boxes refer to; 0: the image's own", low=0, high=100000)
     image_height_px: int = value(0, "height of the image that boxes refer to; 0: the image's own", low=0, high=100000)
@@ -44,6 +48,7 @@ class NodeConfig(Checked):
     """What concerns the node only; read when it starts."""
 
     image_transport: str = value("raw", "how images arrive", choices=("raw", "compressed"))
+    max_megapixels: int = value(100, "compressed images that announce more are not decoded", low=1, high=1000)
     image_is_rectified: bool = value(False, "the image is rectified: camera_info's P is used instead of K and D")
     measure: bool = value(True, "measure the buttons in the image: several times as accurate as the boxes alone")
     use_depth: bool = value(False, "subscribe to an aligned depth image for the metric scale")

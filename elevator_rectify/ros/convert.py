@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import fnmatch
 import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +23,8 @@ NUMBER_IDS = (
     "the detections' class ids are bare numbers, which may be labels or indices: set detections.numbers_are_labels, or "
     "detections.labels"
 )
+# Names that annotators give to buttons on which nothing can be read.
+UNREAD = ("unknown", "blur", "empty", "-", "button")
 _NUMBER = re.compile(r"[+-]?\d+")
 
 
@@ -101,8 +107,9 @@ def detections_from_message(
     if hasattr(message, "poses"):
         found = [Detection(float(pose.position.x), float(pose.position.y)) for pose in message.poses]
     elif hasattr(message, "detections"):
-        labels = class_labels(config.labels)
+        labels, ignored = class_labels(config.labels), ignored_classes(config.ignore)
         found = [_detection(item, labels, config.numbers_are_labels) for item in message.detections]
+        found = [replace(d, label="") if d.label.lower() in UNREAD else d for d in found if not ignored(d.label)]
     else:
         raise BadMessage(topic, "type", type(message).__name__, "is no type of detections")
     x = size[0] / config.image_width_px if size and config.image_width_px else 1.0
@@ -121,6 +128,14 @@ def class_labels(text: str) -> dict[str, str]:
             raise ValueError(f"detections.labels: '{pair:.40}' is not of the form id=label")
         labels[number.strip()] = label.strip()
     return labels
+
+
+@cache
+def ignored_classes(text: str) -> Callable[[str], bool]:
+    """Return what tells whether a class is one of a list such as 'led,text_*': no button. Case does not matter."""
+    names = [fnmatch.translate(part) for part in (p.strip().lower() for p in text.split(",")) if part]
+    pattern = re.compile("|".join(names)) if names else None
+    return lambda name: pattern is not None and pattern.match(name.lower()) is not None
 
 
 def has_number_ids(message: Any) -> bool:
