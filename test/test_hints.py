@@ -66,6 +66,7 @@ def test_missing_settings_are_said_once() -> None:
         any(word in hint for hint in first) for word in ("scale.column_pitch_m", "depth", "numbers_are_labels")
     ] == [True] * 3
     assert hints.of(answer, detections("7"), depths=0) == []
+    assert "camera_info" in hints.of(answer, detections("7"), depths=0, lost_infos=1)[0]
 
 
 def test_labels_that_are_none_give_no_hint() -> None:

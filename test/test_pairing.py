@@ -151,3 +151,67 @@ def test_beyond_its_length_the_queue_drops_the_oldest() -> None:
     first = waiting.get()
     assert first is not None and stamp_ns(first.image.header) == 3
     assert waiting.close() == 1 and waiting.get() is None
+
+
+MILLISECOND = 1_000_000
+
+
+def synchronised(config: PairingConfig = PairingConfig()) -> tuple[Pairing, int]:  # noqa: B008
+    """Return a pairing that has seen some images with a camera info each, and the next stamp."""
+    pairing = Pairing(config)
+    for k in range(3):
+        stamp = (k + 1) * 33 * MILLISECOND
+        pairing.add_camera_info(camera_info(stamp))
+        pairing.add_image(image(stamp))
+        assert len(pairing.add_detections(detections(stamp))) == 1
+    return pairing, 4 * 33 * MILLISECOND
+
+
+def test_a_camera_info_that_stops_does_not_silence_the_node() -> None:
+    pairing, stamp = synchronised()
+    answered = []
+    for k in range(40):
+        at = stamp + k * 33 * MILLISECOND
+        answered += pairing.add_image(image(at)) + pairing.add_detections(detections(at))
+    # Half a second of them waits for an info at first; then the last info serves at once.
+    assert len(answered) == 40 and pairing.lost_infos == 1
+    assert {stamp_ns(f.camera_info.header) for f in answered} == {99 * MILLISECOND}
+
+
+def test_a_frame_waits_for_its_depth_and_takes_a_near_one_within_the_tolerance() -> None:
+    pairing, stamp = synchronised(PairingConfig(tolerance_s=0.002))
+    pairing.needs_depth = True
+    pairing.add_depth(image(1))
+    pairing.add_camera_info(camera_info(stamp))
+    pairing.add_image(image(stamp))
+    pairing.add_image(image(stamp + 33 * MILLISECOND))
+    assert pairing.add_detections(detections(stamp)) == []
+    (frame,) = pairing.add_depth(image(stamp + MILLISECOND))
+    assert stamp_ns(frame.image.header) == stamp and stamp_ns(frame.depth.header) == stamp + MILLISECOND
+
+
+def test_a_depth_that_was_lost_is_not_waited_for() -> None:
+    pairing, stamp = synchronised()
+    pairing.needs_depth = True
+    pairing.add_depth(image(1))
+    pairing.add_camera_info(camera_info(stamp))
+    pairing.add_image(image(stamp))
+    assert pairing.add_detections(detections(stamp)) == []
+    (frame,) = pairing.add_depth(image(stamp + 33 * MILLISECOND))
+    assert frame.depth is None
+    never = synchronised()[0]
+    never.needs_depth = True
+    never.add_camera_info(camera_info(stamp))
+    never.add_image(image(stamp))
+    assert len(never.add_detections(detections(stamp))) == 1, "nothing comes on the topic at all"
+
+
+def test_depth_images_obey_the_bounds_and_are_counted() -> None:
+    pairing = Pairing(PairingConfig(max_images=4))
+    for stamp in range(10):
+        pairing.add_depth(image(stamp))
+    assert pairing.received["depth"] == 10 and pairing.dropped["depth without image"] == 6
+    large = Pairing(PairingConfig(max_megabytes=2))
+    for stamp in range(10):
+        large.add_depth(image(stamp))
+    assert large.dropped["depth without image"] == 8, "of 900 KiB each"

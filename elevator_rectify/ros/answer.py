@@ -187,6 +187,8 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
     if frame.detections is not None:
         _check_frame("detections", frame.detections, ours)
         detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
+    if frame.depth is None and node.use_depth:
+        return Inputs(image, camera, detections, "no depth image has the image's stamp: see pairing.tolerance_s")
     return Inputs(image, camera, detections, _depth(frame.depth, ours))
 
 

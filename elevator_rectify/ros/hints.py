@@ -69,13 +69,19 @@ class Hints:
     node: NodeConfig
     _said: set[str] = field(default_factory=set)
 
-    def of(self, answer: Answer, detections: Any, depths: int) -> list[str]:
-        """Return what to log of this frame for the first time. depths: number of depth images received."""
+    def of(self, answer: Answer, detections: Any, depths: int, lost_infos: int = 0) -> list[str]:
+        """Return what to log of this frame for the first time. depths: number of depth images received;
+        lost_infos: of images whose camera info did not come."""
         hints = {}
         if answer.fit.ok and not answer.fit.metric:
             hints["scale"] = (
                 "the metric scale is unknown, positions are in column pitches: set scale.column_pitch_m, or use_depth "
                 "with an aligned depth image"
+            )
+        if lost_infos:
+            hints["camera_info"] = (
+                "images come without the camera_info that those before had: the last one that came serves; does its "
+                "publisher still run?"
             )
         if self.node.use_depth and not depths:
             hints["depth"] = "use_depth is set, but nothing comes on the topic depth"

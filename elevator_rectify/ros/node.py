@@ -67,6 +67,7 @@ class ElevatorRectify(Node):
         self._target = ""
         self._found: Found | None = None
         self.pairing.needs_detections = self.node_config.detector != "own"
+        self.pairing.needs_depth = self.node_config.use_depth
         self._started, self._had_detections = time.monotonic(), False
         self._track: tuple[int, Track | None] = (0, None)
         self._waiting = Waiting(self.node_config.max_waiting)
@@ -196,7 +197,8 @@ class ElevatorRectify(Node):
             wanted.append("labels")
         answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target, self._found)
         self._found = answer.found
-        for hint in self._hints.of(answer, frame.detections, self.pairing.received["depth"]):
+        depths, lost = self.pairing.received["depth"], self.pairing.lost_infos
+        for hint in self._hints.of(answer, frame.detections, depths, lost):
             self.get_logger().warning(hint)
         self._track = jumps, track
         self._publish(answer)

@@ -12,6 +12,8 @@ from elevator_rectify.ros.convert import stamp_ns
 
 # So many images in a row that had a camera info of their own stamp: the next one will have one too.
 _SYNCHRONISED = 2
+# Images newer by this much show that an image's camera info or depth will not come any more.
+_PATIENCE_NS = 500_000_000
 # The stamp under which the last camera info is kept when the clock went back.
 _BEFORE_ALL = -1
 
@@ -30,7 +32,8 @@ class Pairing:
     """Pairs by header.stamp. Every `add_*` returns the frames that became complete, and counts what it drops.
 
     The camera info is the one of the image's stamp, else the newest; frames wait for the first one. Where every image
-    has had an info of its own, a frame waits for that, until a later one shows that it was lost. Every image that was
+    has had an info of its own, a frame waits for that, until a later one, or later images, show that it was lost; with
+    `needs_depth` likewise for its depth, which may be off by the tolerance, too. Every image that was
     received is in a returned frame, in `dropped`, or still `waiting`.
     """
 
@@ -41,12 +44,16 @@ class Pairing:
         self.jumps = 0
         # Whether a frame is complete only with detections of a topic; else buttons are found in its image.
         self.needs_detections = True
+        # Whether a frame waits for the depth image of its stamp.
+        self.needs_depth = False
+        # Images whose own camera info did not come, though those before had one each.
+        self.lost_infos = 0
         self.newest: dict[str, int] = {}
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._detections: OrderedDict[int, Any] = OrderedDict()
         self._infos: OrderedDict[int, Any] = OrderedDict()
         self._depths: OrderedDict[int, Any] = OrderedDict()
-        self._bytes = 0
+        self._bytes = self._depth_bytes = 0
         self._newest_ns: int | None = None
         self._done: OrderedDict[int, None] = OrderedDict()
         self._own_infos_in_a_row = 0
@@ -78,9 +85,14 @@ class Pairing:
         return self._complete()
 
     def add_depth(self, message: Any) -> list[Frame]:
-        """Keep a depth image for the frame of its stamp."""
-        _keep(self._depths, self._received("depth", message), message, self.config.max_images)
-        return []
+        """Keep a depth image for the frame of its stamp; the oldest ones give way beyond the bounds of images."""
+        stamp = self._received("depth", message)
+        self._depth_bytes += len(message.data) - (len(self._depths[stamp].data) if stamp in self._depths else 0)
+        self._depths[stamp] = message
+        while len(self._depths) > self.config.max_images or self._depth_bytes > self.config.max_megabytes << 20:
+            self._take_depth(min(self._depths))
+            self.dropped["depth without image"] += 1
+        return self._complete()
 
     def add_detections(self, message: Any) -> list[Frame]:
         """Buffer a detection message."""
@@ -119,18 +131,18 @@ class Pairing:
         if newest is not None:
             stamp = stamp_ns(newest.header)
             self._infos[stamp if abs(stamp - now) < jump_ns else _BEFORE_ALL] = newest
-        self._bytes, self._newest_ns = 0, None
+        self._bytes, self._depth_bytes, self._newest_ns = 0, 0, None
 
     def _complete(self) -> list[Frame]:
         """Take out all frames that are complete now, oldest first."""
         if not self._infos:
             return []
         if not self.needs_detections:
-            return [self._take(stamp, None) for stamp in sorted(self._images) if self._has_info(stamp)]
+            return [self._take(stamp, None) for stamp in sorted(self._images) if self._has_all(stamp)]
         pairs = [(stamp, stamp) for stamp in sorted(self._images.keys() & self._detections.keys())]
         if self.config.tolerance_s > 0:
             pairs = sorted(pairs + self._nearest_pairs(dict(pairs)))
-        return [self._take(image, detections) for image, detections in pairs if self._has_info(image)]
+        return [self._take(image, detections) for image, detections in pairs if self._has_all(image)]
 
     def _nearest_pairs(self, exact: dict[int, int]) -> list[tuple[int, int]]:
         """Return (image, detections) stamps within the tolerance; the nearest is known once a later image is there."""
@@ -146,20 +158,45 @@ class Pairing:
                 free.remove(nearest)
         return pairs
 
+    def _has_all(self, image: int) -> bool:
+        """Tell whether the image's camera info and depth are there, or are not to be expected any more."""
+        given_up = self._newest_ns is not None and self._newest_ns - image >= _PATIENCE_NS
+        return given_up or (self._has_info(image) and self._has_depth(image))
+
     def _has_info(self, image: int) -> bool:
         """Tell whether the image's camera info is there, or none of its own is to be expected."""
         if image in self._infos or self._own_infos_in_a_row < _SYNCHRONISED:
             return True
         return max(self._infos) > image
 
+    def _has_depth(self, image: int) -> bool:
+        """Tell whether the image's depth is there, a later one shows that it was lost, or none has ever come."""
+        if not self.needs_depth or not self.received["depth"] or self._depth_of(image) is not None:
+            return True
+        return any(stamp > image + 1e9 * self.config.tolerance_s for stamp in self._depths)
+
+    def _depth_of(self, image: int) -> int | None:
+        """Return the stamp of the image's depth: its own, or the nearest within the tolerance."""
+        if image in self._depths:
+            return image
+        nearest = min(self._depths, key=lambda stamp: (abs(stamp - image), stamp), default=None)
+        return nearest if nearest is not None and abs(nearest - image) <= 1e9 * self.config.tolerance_s else None
+
     def _take(self, image: int, detections: int | None) -> Frame:
         info = self._infos.get(image, next(reversed(self._infos.values())))
+        self.lost_infos += image not in self._infos and self._own_infos_in_a_row >= _SYNCHRONISED
         boxes = None if detections is None else self._detections.pop(detections)
-        frame = Frame(self._images[image], info, boxes, self._depths.pop(image, None))
+        depth = self._depth_of(image)
+        frame = Frame(self._images[image], info, boxes, None if depth is None else self._take_depth(depth))
         self._own_infos_in_a_row = self._own_infos_in_a_row + 1 if image in self._infos else 0
         self._remove_image(image)
         _keep(self._done, image, None, 4 * self.config.max_images)
         return frame
+
+    def _take_depth(self, stamp: int) -> Any:
+        message = self._depths.pop(stamp)
+        self._depth_bytes -= len(message.data)
+        return message
 
     def _remove_image(self, stamp: int) -> None:
         self._bytes -= len(self._images.pop(stamp).data)
