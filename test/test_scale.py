@@ -15,6 +15,7 @@ from elevator_rectify.core.geometry.scale import scaled, with_scale
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.track import smoothed
 from elevator_rectify.core.types import Array
+from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.panel import PITCH_M
 from elevator_rectify.render.scene import Scene
 from test.scenes import rotation_error_deg, scene
@@ -86,15 +87,38 @@ def test_scaling_a_fit_is_fitting_with_the_pitch() -> None:
         np.testing.assert_allclose(getattr(ours, name), getattr(known, name), rtol=1e-9, atol=1e-12)
 
 
-def test_the_covariance_elsewhere_on_the_panel_is_the_first_order_one() -> None:
-    """Against samples of poses: x = t + R q."""
-    rng = np.random.default_rng(0)
-    A = rng.normal(0, 1e-3, (6, 6))
-    covariance, arm = A @ A.T, np.array([0.2, -0.1, 0.3])
-    samples = rng.multivariate_normal(np.zeros(6), covariance, 20000)
-    moved = np.array([s[:3] + rotation(s[3:]) @ arm - arm for s in samples])
-    # 20,000 samples give a covariance to 2 %.
-    np.testing.assert_allclose(np.cov(moved.T), covariance_at(covariance, arm)[:3, :3], atol=0.06 * covariance.max())
+def moved_grid(fit: GridFit, step: Array) -> Array:
+    """Return the grid's points (R C, 3) of a fit whose (t, rotation, ln aspect, breaks) are moved."""
+    rows = int(fit.row_block[-1])
+    down = np.concatenate([[0.0], np.cumsum(step[7 : 7 + rows])])[fit.row_block]
+    along = np.concatenate([[0.0], np.cumsum(step[7 + rows :])])[fit.column_block]
+    panel = fit.grid_panel + np.stack(np.broadcast_arrays(along[None], down[:, None]), axis=-1) * fit.pitch
+    panel = panel * np.array([1.0, np.exp(step[6])])
+    return (panel.reshape(-1, 2) @ (rotation(step[3:6]) @ fit.R_camera_panel)[:, :2].T) + fit.t_camera_panel + step[:3]
+
+
+def test_the_covariance_elsewhere_on_the_panel_is_that_of_all_that_moves_it() -> None:
+    """Of each parameter alone, against finite differences: pose, aspect, gaps between blocks."""
+    fits = [fit_panel(s.centres_px, s.camera) for s in (random_scene(LEVELS["gaps"], 5, k) for k in range(20))]
+    fit = next(f for f in fits if f.ok and f.row_block[-1] > 0)
+    places, small = fit.grid_panel.reshape(-1, 2), 1e-6
+    for k in range(len(fit.shape_covariance)):
+        step = np.zeros(len(fit.shape_covariance))
+        step[k] = small
+        derivative = (moved_grid(fit, step) - moved_grid(fit, -step)) / (2.0 * small)
+        alone = replace(fit, shape_covariance=np.outer(step, step) / small**2, scale_std_share=0.0)
+        expected = derivative[:, :, None] * derivative[:, None, :]
+        np.testing.assert_allclose(covariance_at(alone, places)[:, :3, :3], expected, atol=1e-6 * expected.max())
+
+
+def test_an_error_of_the_scale_moves_a_place_along_its_line_of_sight() -> None:
+    view = scene(4, sigma_px=0.5)
+    fit = fit_panel(view.centres_px, view.camera, replace(Config(), scale=ScaleConfig(PITCH_M, 0.002)))
+    exact = replace(fit, scale_std_share=0.0)
+    places, points = fit.grid_panel.reshape(-1, 2), fit.grid_points.reshape(-1, 3)
+    more = (covariance_at(fit, places) - covariance_at(exact, places))[:, :3, :3]
+    np.testing.assert_allclose(more, (0.002 / PITCH_M) ** 2 * points[:, :, None] * points[:, None, :], atol=1e-12)
+    np.testing.assert_allclose(covariance_at(fit, places[:1])[0], fit.covariance, rtol=1e-9, atol=1e-12)
 
 
 def frames(seed: int, number: int) -> list[tuple[Scene, GridFit]]:

@@ -20,6 +20,7 @@ from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import (
     LatticePose,
+    covariance_at,
     pose_covariance,
     pose_from_homography,
     scale_pose_covariance,
@@ -33,6 +34,8 @@ from elevator_rectify.core.types import Array, FitResult, IntArray
 # A lattice of a finer pitch than so many standard deviations of the detections is near to every point.
 _FINEST_PITCH_SIGMAS = 4.0
 _MOST_IN_A_CELL = 1.5
+# A place that is known less well, in pitches, may be the neighbour's.
+_MOST_SIDEWAYS = 0.25
 
 
 def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> FitResult:
@@ -44,7 +47,8 @@ def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> FitR
 @dataclass(frozen=True)
 class Geometry:
     """What an estimator found, in column pitches: nodes (rows, columns, 2) lattice coordinates (column, row) relative
-    to cell (0, 0), cells (M, 2) of the usable detections, covariance (6, 6) of (t, rotation)."""
+    to cell (0, 0), cells (M, 2) of the usable detections, covariance of (t, rotation) and, as far as the method has
+    them, of ln aspect and breaks."""
 
     pose: LatticePose
     nodes: Array
@@ -104,10 +108,27 @@ def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config) -> 
     if spread > limit:
         reason = f"the rotation is known to {spread:.3f} rad only, {limit:g} allowed"
         return replace(found, status="uncertain", reason=reason)
+    sideways = sideways_std(found)
+    if sideways > _MOST_SIDEWAYS * float(found.pitch.min()):
+        reason = f"the place is known to {sideways / float(found.pitch.min()):.2f} pitches sideways only"
+        return replace(found, status="uncertain", reason=reason)
     if found.confidence < config.accept.min_confidence:
         reason = f"confidence {found.confidence:.3f} < {config.accept.min_confidence:g}"
         return replace(found, status="low_confidence", reason=reason)
     return replace(found, status="ok", reason="")
+
+
+def sideways_std(found: FitResult) -> float:
+    """Return the largest standard deviation across the line of sight of any filled cell, in the fit's unit."""
+    cells = np.unique(found.cells[found.cells[:, 0] >= 0], axis=0)
+    places = found.grid_panel[cells[:, 0], cells[:, 1]]
+    point = places @ found.R_camera_panel[:, :2].T + found.t_camera_panel
+    sight = point / np.linalg.norm(point, axis=1, keepdims=True)
+    across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
+    covariance = across @ covariance_at(found, places)[:, :3, :3] @ across
+    if not np.isfinite(covariance).all():
+        return float("inf")
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance)[:, -1].max())))
 
 
 def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
@@ -136,7 +157,7 @@ def layout_result(
     camera: Camera,
     config: Config,
 ) -> FitResult:
-    """Return the geometry of a layout fit; pose and covariance (6, 6) are those of its first node."""
+    """Return the geometry of a layout fit; pose and covariance are those of its first node."""
     layout = fit.layout
     origin = layout.nodes[0, 0]
     nodes = layout.nodes - origin
@@ -204,6 +225,8 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
     std = config.scale.column_pitch_std_m if metric else 0.0
     pose, nodes, cells = geometry.pose, geometry.nodes, geometry.cells
     points = pose.camera_points(nodes) * unit
+    lengths = np.ones(len(geometry.covariance))
+    lengths[:3] = unit
     all_cells = np.full((usable.number, 2), -1, dtype=np.int64)
     all_cells[usable.index] = cells
     rays = np.full((usable.number, 2), np.nan)
@@ -216,7 +239,9 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
         R_camera_panel=pose.R,
         t_camera_panel=pose.t * unit,
         pitch=np.array([1.0, pose.aspect]) * unit,
-        covariance=scale_pose_covariance(geometry.covariance, pose.t, unit, std),
+        covariance=scale_pose_covariance(geometry.covariance[:6, :6], pose.t, unit, std),
+        shape_covariance=geometry.covariance * np.outer(lengths, lengths),
+        scale_std_share=std / unit,
         cells=all_cells,
         rays=rays,
         rows=rows,

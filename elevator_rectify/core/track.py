@@ -18,11 +18,13 @@ _SAME_LINE = 0.1
 
 @dataclass(frozen=True)
 class Track:
-    """The last accepted fit as measured, its smoothed pose with the covariance of that, and the image's stamp."""
+    """The last accepted fit as measured; its smoothed pose and shape (S,), with their covariance (6 + S, 6 + S); the
+    image's stamp."""
 
     fit: FitResult
     R: Array
     t: Array
+    shape: Array
     covariance: Array
     stamp_ns: int
 
@@ -32,38 +34,73 @@ def smoothed(
 ) -> tuple[Track | None, FitT]:
     """Return the new track and the fit to publish: smoothed by the track where it shows the same panel.
 
-    A Kalman filter (Thrun, Burgard and Fox, 3.2): the panel stands, the camera moves by the configured speeds. The
-    published covariance stays the single frame's: a detector's errors repeat from frame to frame.
+    A Kalman filter (Thrun, Burgard and Fox, 3.2) of pose, aspect and gaps together, since their errors belong together:
+    the panel stands and keeps its shape, the camera moves by the configured speeds. The published covariance stays the
+    single frame's: a detector's errors repeat from frame to frame.
     """
     if not fit.ok:
         return track, fit
     if track is not None and stamp_ns <= track.stamp_ns:
         return track, fit
-    fresh = Track(fit, fit.R_camera_panel, fit.t_camera_panel, fit.covariance, stamp_ns)
+    shape, measured = shape_of(fit), fit.shape_covariance
+    fresh = Track(fit, fit.R_camera_panel, fit.t_camera_panel, shape, measured, stamp_ns)
     seconds = 0.0 if track is None else 1e-9 * (stamp_ns - track.stamp_ns)
     if track is None or seconds > config.max_gap_s or not same_panel(track.fit, fit):
         return fresh, fit
     unit = 1.0 if fit.metric else 1.0 / config.usual_pitch_m
     moved = np.repeat([config.speed_m_per_s * unit, config.turn_rad_per_s], 3) * seconds
-    prior = track.covariance + np.diag(moved**2)
-    innovation = np.concatenate(
-        [fit.t_camera_panel - track.t, cv2.Rodrigues(fit.R_camera_panel @ track.R.T)[0].ravel()]
-    )
-    together = prior + fit.covariance
-    if innovation @ np.linalg.solve(together, innovation) > _JUMP_CHI2:
+    prior = track.covariance + np.diag(np.append(moved, np.zeros(len(shape))) ** 2)
+    turned = cv2.Rodrigues(fit.R_camera_panel @ track.R.T)[0].ravel()
+    innovation = np.concatenate([fit.t_camera_panel - track.t, turned, shape - track.shape])
+    together = prior + measured
+    pose = slice(0, 6)
+    if innovation[pose] @ np.linalg.solve(together[pose, pose], innovation[pose]) > _JUMP_CHI2:
         return fresh, fit
     gain = np.linalg.solve(together, prior).T
     step = gain @ innovation
-    R, t = cv2.Rodrigues(step[3:])[0] @ track.R, track.t + step[:3]
-    return Track(fit, R, t, prior - gain @ prior, stamp_ns), posed(fit, R, t, camera)
+    R, t = cv2.Rodrigues(step[3:6])[0] @ track.R, track.t + step[:3]
+    new = track.shape + step[6:]
+    return Track(fit, R, t, new, prior - gain @ prior, stamp_ns), posed(shaped(fit, new), R, t, camera)
 
 
 def same_panel(one: FitResult, other: FitResult) -> bool:
     """Tell whether two fits have the same rows and columns, and one unit."""
     if one.metric != other.metric or (one.rows, one.columns) != (other.rows, other.columns):
         return False
+    if len(one.shape_covariance) != len(other.shape_covariance):
+        return False
     lines = ((one.row_positions, other.row_positions), (one.column_positions, other.column_positions))
     return all(bool((np.abs(a - b) < _SAME_LINE).all()) for a, b in lines)
+
+
+def shape_of(fit: FitResult) -> Array:
+    """Return ln(row pitch / column pitch) and the gaps between blocks in pitches (S,), as far as they are estimated."""
+    if len(fit.shape_covariance) == 6:
+        return np.zeros(0)
+    gaps = [
+        np.diff(positions)[np.diff(block) > 0]
+        for positions, block in ((fit.row_positions, fit.row_block), (fit.column_positions, fit.column_block))
+    ]
+    return np.concatenate([[np.log(fit.pitch[1] / fit.pitch[0])], *gaps])
+
+
+def shaped(fit: FitT, shape: Array) -> FitT:
+    """Return the fit with another aspect and other gaps (S,), as `shape_of` has them; the pose stays."""
+    if not len(shape):
+        return fit
+    change = shape - shape_of(fit)
+    rows = int(fit.row_block[-1])
+    down = np.concatenate([[0.0], np.cumsum(change[1 : 1 + rows])])[fit.row_block]
+    along = np.concatenate([[0.0], np.cumsum(change[1 + rows :])])[fit.column_block]
+    shift = np.stack(np.broadcast_arrays(along[None], down[:, None]), axis=-1) * fit.pitch
+    stretch = np.array([1.0, float(np.exp(change[0]))])
+    return replace(
+        fit,
+        pitch=fit.pitch * stretch,
+        row_positions=fit.row_positions + down,
+        column_positions=fit.column_positions + along,
+        grid_panel=(fit.grid_panel + shift) * stretch,
+    )
 
 
 def posed(fit: FitT, R: Array, t: Array, camera: Camera) -> FitT:

@@ -95,6 +95,10 @@ class FitResult:
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
     a list; `cells` has the same order, and so have rays (N, 2), the detections in undistorted normalised coordinates,
     NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them.
+
+    covariance: (6, 6) of t and rotation (about the camera's axes), the error of the scale in it. shape_covariance:
+    (6 + S, 6 + S) of t, rotation and what shapes the panel, without that error: ln(row pitch / column pitch), then the
+    row breaks and column breaks in pitches, as far as the method has them; scale_std_share: of the scale, over itself.
     """
 
     status: str
@@ -106,6 +110,8 @@ class FitResult:
     t_camera_panel: Array = _nan(3)
     pitch: Array = _nan(2)
     covariance: Array = _nan(6, 6)
+    shape_covariance: Array = _nan(6, 6)
+    scale_std_share: float = 0.0
     cells: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     rows: int = 0
     columns: int = 0

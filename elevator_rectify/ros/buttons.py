@@ -24,7 +24,7 @@ def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: 
 
 def _detection(fit: GridFit, button: Button, header: Any, make: Make) -> Any:
     pose = pose_of(button.point, quaternion(fit.R_camera_panel), make)
-    covariance = message_covariance(fit, button.point - fit.t_camera_panel)
+    covariance = message_covariance(fit, button.panel)
     if fit.metric:
         covariance[:3, :3] = button.covariance
     hypothesis = make("vision_msgs/msg/ObjectHypothesis", class_id=button.label, score=_score(button))

@@ -41,12 +41,12 @@ def pose_of(t: Array, q: tuple[float, float, float, float], make: Make) -> Any:
     return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
 
-def message_covariance(fit: GridFit, arm: Array | None = None) -> Array:
-    """Return the (6, 6) covariance to publish, at the panel's origin or `arm` (3,) away from it in the camera frame.
+def message_covariance(fit: GridFit, panel: Array | None = None) -> Array:
+    """Return the (6, 6) covariance to publish, at the panel's origin or at a place (2,) on it.
 
     Where the scale is unknown, the translation is in pitches, and its variance too large for any use.
     """
-    covariance = fit.covariance.copy() if arm is None else covariance_at(fit.covariance, arm)
+    covariance = fit.covariance.copy() if panel is None else covariance_at(fit, panel[None])[0]
     if not fit.metric:
         covariance[:3] = covariance[:, :3] = 0.0
         covariance[:3, :3] = UNKNOWN_SCALE_VARIANCE * np.eye(3)

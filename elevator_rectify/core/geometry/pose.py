@@ -9,7 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from elevator_rectify.core.types import Array
+from elevator_rectify.core.types import Array, FitResult
+
+# Places so little before a row or column, in pitches, are on it: staggered ones are half a pitch behind.
+_ON_LINE = 0.25
 
 
 @dataclass(frozen=True)
@@ -92,12 +95,40 @@ def scale_pose_covariance(covariance: Array, t: Array, pitch: float, pitch_std: 
     return np.asarray(scaled)
 
 
-def covariance_at(covariance: Array, arm: Array) -> Array:
-    """Return the covariance (..., 6, 6) of the pose at other points of the panel, `arm` (..., 3) away in the camera
-    frame."""
-    T = np.broadcast_to(np.eye(6), (*arm.shape[:-1], 6, 6)).copy()
-    T[..., :3, 3:] = -cross_matrix(arm)
-    return np.asarray(T @ covariance @ np.swapaxes(T, -1, -2))
+def covariance_at(fit: FitResult, panel: Array) -> Array:
+    """Return the covariance (K, 6, 6) of the pose at places (K, 2) on the panel, in the fit's unit.
+
+    The errors of the aspect and of the gaps move a place along the panel, that of the scale along its line of sight.
+    """
+    arm = panel @ fit.R_camera_panel[:, :2].T
+    T = np.zeros((len(panel), 6, len(fit.shape_covariance)))
+    T[:, :, :6] = np.eye(6)
+    T[:, :3, 3:6] = -cross_matrix(arm)
+    T[:, :3, 6:] = _shape_jacobian(fit, panel)
+    found = T @ fit.shape_covariance @ np.swapaxes(T, 1, 2)
+    point = arm + fit.t_camera_panel
+    found[:, :3, :3] += fit.scale_std_share**2 * point[:, :, None] * point[:, None, :]
+    return np.asarray(found)
+
+
+def _shape_jacobian(fit: FitResult, panel: Array) -> Array:
+    """Return d(point) / d(ln aspect, row breaks, column breaks) (K, 3, S) of places (K, 2) on the panel."""
+    J = np.zeros((len(panel), 3, len(fit.shape_covariance) - 6))
+    if not J.shape[-1]:
+        return J
+    along, down = fit.R_camera_panel[:, 0], fit.R_camera_panel[:, 1]
+    J[:, :, 0] = panel[:, 1:] * down
+    at = 1
+    for axis, lines, block, direction in (
+        (1, fit.row_positions, fit.row_block, down),
+        (0, fit.column_positions, fit.column_block, along),
+    ):
+        line = np.searchsorted(lines, panel[:, axis] / fit.pitch[axis] + _ON_LINE, side="right") - 1
+        mine = block[np.clip(line, 0, len(lines) - 1)]
+        for number in range(1, int(block[-1]) + 1 if len(block) else 1):
+            J[:, :, at] = (mine >= number)[:, None] * fit.pitch[axis] * direction
+            at += 1
+    return J
 
 
 def on_plane(R: Array, t: Array, rays: Array) -> tuple[Array, Array]:

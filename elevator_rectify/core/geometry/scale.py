@@ -85,6 +85,8 @@ def with_scale(fit: FitT, camera: Camera, depth_m: Array, config: ScaleConfig) -
 def scaled(fit: FitT, metres: float, std: float) -> FitT:
     """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
     seen = fit.measurement
+    lengths = np.ones(len(fit.shape_covariance))
+    lengths[:3] = metres
     return replace(
         fit,
         measurement=None if seen is None else replace(seen, half_size=seen.half_size * metres),
@@ -92,6 +94,8 @@ def scaled(fit: FitT, metres: float, std: float) -> FitT:
         t_camera_panel=fit.t_camera_panel * metres,
         pitch=fit.pitch * metres,
         covariance=scale_pose_covariance(fit.covariance, fit.t_camera_panel, metres, std),
+        shape_covariance=fit.shape_covariance * np.outer(lengths, lengths),
+        scale_std_share=std / metres,
         grid_panel=fit.grid_panel * metres,
         grid_points=fit.grid_points * metres,
     )

@@ -157,10 +157,11 @@ def moved(layout: Layout, steps: Array) -> Layout:
 def pose_at(
     fit: LayoutFit, rays: Array, node: Array, config: JointConfig, weights: Array | None = None
 ) -> tuple[LatticePose, Array]:
-    """Return the pose with its origin at a lattice point (2,), and the covariance (6, 6) of (t, rotation) there.
+    """Return the pose with its origin at a lattice point (2,), and the covariance of (t, rotation, ln aspect, breaks)
+    there, (7 + B, 7 + B).
 
     rays: (N, 2) of what the fit's nodes were fitted to; weights: (N, 2, 2) the information of each, by default that of
-    detections. Aspect and breaks are unknown too and marginalised; `node` must lie before every break. An error of the
+    detections. `node` must lie before every break. An error of the
     focal length scales all rays; its part is the fit's linear response to that.
     """
     _, J, _ = design(fit, rays)
@@ -175,8 +176,7 @@ def pose_at(
     R, aspect = fit.pose.R[0], float(np.exp(fit.pose.log_aspect[0]))
     offset = (np.asarray(node) - fit.pose.centre[0]) * np.array([1.0, aspect])
     arm = R[:, :2] @ offset
-    T = np.zeros((6, J.shape[-1]))
-    T[:, :6] = np.eye(6)
+    T = np.eye(J.shape[-1])
     T[:3, 3:6] = -cross_matrix(arm)
     T[:3, 6] = R[:, 1] * offset[1]
     return LatticePose(R, fit.pose.t[0] + arm, aspect), np.asarray(T @ inverse @ T.T)

@@ -47,6 +47,10 @@ FEATURES = (
 _COMPARED_NATS = 10.0
 _TRACKED_STAGES = STAGES[1:]
 _MARGIN_NATS = 15.0
+# By so much of a button's size the template's centre is off the buttons' (rms on rendered panels, each axis).
+_COMMON_SHIFT = 0.015
+# Caps stand out of the plate by up to a tenth of their size: rms.
+_CAP_HEIGHT = 0.05
 # A detection whose centre is so near to a button's, in half sizes, is of that button.
 _ON_BUTTON = 0.9
 
@@ -130,6 +134,10 @@ def _result(
     origin = fit.layout.nodes[0, 0]
     pose, covariance = pose_at(fit, measured.rays, origin, joint, measured.information)
     covariance = covariance * config.measurement.covariance_scale
+    # What is taken for the middle of one button is so of all, and so is the height of their caps above the plate.
+    size = 2.0 * measured.half * np.array([1.0, pose.aspect])
+    common = pose.R * np.array([*(_COMMON_SHIFT * size), _CAP_HEIGHT * float(np.sqrt(size.prod()))])
+    covariance[:3, :3] += common @ common.T
     area = camera.width * camera.height / camera.focal_px**2
     explained = _with_overlapping(evaluate(fit.pose, fit.layout, usable.rays, sigma, area, joint), usable, measured)
     result = layout_result(explained, pose, covariance, boxes, usable, camera, config)
@@ -145,14 +153,19 @@ def _with_edges(fit: FitResult, image: Image, camera: Camera) -> FitResult:
     R, covariance = sharpened(fit.R_camera_panel, fit.covariance[3:, 3:], segments)
     centre = fit.grid_panel.mean(axis=(0, 1))
     t = fit.t_camera_panel + (fit.R_camera_panel - R)[:, :2] @ centre
-    whole = fit.covariance.copy()
-    whole[3:, 3:] = covariance
-    # What t owes to the rotation shrinks with it.
-    share = np.linalg.solve(fit.covariance[3:, 3:], fit.covariance[3:, :3]).T
-    whole[:3, 3:] = share @ covariance
-    whole[3:, :3] = whole[:3, 3:].T
-    whole[:3, :3] -= share @ (fit.covariance[3:, 3:] - covariance) @ share.T
-    return replace(posed(fit, R, t, camera), covariance=whole)
+    turned = posed(fit, R, t, camera)
+    # What place and shape owe to the rotation shrinks with it.
+    return replace(
+        turned,
+        covariance=_with_rotation(fit.covariance, covariance),
+        shape_covariance=_with_rotation(fit.shape_covariance, covariance),
+    )
+
+
+def _with_rotation(whole: Array, rotation: Array) -> Array:
+    """Return the covariance of the pose (6 + S, 6 + S) where that of its rotation (3, 3) has become known better."""
+    share = np.linalg.solve(whole[3:6, 3:6], whole[3:6]).T
+    return np.asarray(whole - share @ (whole[3:6, 3:6] - rotation) @ share.T)
 
 
 def _with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> LayoutFit:

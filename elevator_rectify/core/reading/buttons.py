@@ -97,11 +97,14 @@ class _Where:
 def _where(fit: FitResult, places: PanelPlaces) -> _Where:
     """Return where the buttons are: cells by the lattice, the others by their detections."""
     point = places.panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
-    covariance = covariance_at(fit.covariance, point - fit.t_camera_panel)[:, :3, :3]
+    covariance = covariance_at(fit, places.panel)[:, :3, :3]
     per_px = _per_px(fit, places)
-    # The lattice says nothing of what is beside it: the detection's own error counts.
-    across = fit.R_camera_panel[:, :2] * (fit.rms_px * per_px[places.cells :])[:, None]
-    covariance[places.cells :] += across @ np.swapaxes(across, 1, 2)
+    # A button is off its cell by the panel's own scatter. The lattice says nothing of what is beside it: there the
+    # detection's own error counts.
+    own = fit.rms_px * per_px
+    own[: places.cells] = 0.0 if fit.measurement is None else fit.measurement.scatter * float(fit.pitch[0])
+    across = fit.R_camera_panel[:, :2] * own[:, None]
+    covariance += across @ np.swapaxes(across, 1, 2)
     return _Where(_image_px(fit, places), point, covariance, _size(fit, places, per_px))
 
 
