@@ -15,6 +15,7 @@ from elevator_rectify.benchmark.figures import Figures, comparison, read_figures
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
+from elevator_rectify.benchmark.sequences import sequence_table
 from elevator_rectify.benchmark.shown import shown_table, write_example
 from elevator_rectify.benchmark.synthetic import yardstick_ms
 from elevator_rectify.benchmark.synthetic_tables import negative_table, synthetic_table
@@ -53,6 +54,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, default=5, help="with --buttons: times that a real panel is corrupted")
     for name, what in _LABELLED.items():
         parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"{what}, on labelled pictures held out")
+    parser.add_argument(
+        "--sequences", type=int, default=0, metavar="N", help="tracking, on N camera paths of each kind"
+    )
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
     parser.add_argument(
@@ -78,6 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
     reference_ms = yardstick_ms()
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if options.detector or options.reader or options.end_to_end else tables
+    tables = _sequences if options.sequences else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
         seed = _FIXED_SEED if options.fixed else options.seed
@@ -131,6 +136,11 @@ def _pictures(options: argparse.Namespace, figures: Figures, reference_ms: float
         print("\n" + few_table(options.draws, options.seed, figures))
     if options.turns and _real(options, "photos/photos.json"):
         print("\n" + turned_table(options.data, options.turns, figures))
+
+
+def _sequences(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the table of tracked camera paths."""
+    print(sequence_table(options.sequences, options.seed, figures))
 
 
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:

@@ -10,12 +10,13 @@ import numpy as np
 from elevator_rectify.core.config import Config, HypothesesConfig
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.picture.fit import with_picture
 from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, contradicted, second_opinion
 from elevator_rectify.core.result import joint_fit, layout_of
-from elevator_rectify.core.types import Array, FitResult, Image
+from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
 
 # The first search's share of the hypotheses.
 _QUICK = 0.125
@@ -23,6 +24,9 @@ _QUICK = 0.125
 _MANY = 30
 # A fit that is accepted, but no surer than this, is worth the last search too.
 _SURE = 0.9
+# So many more unexplained detections than in the frame before, or one that is so near to the next line, in pitches, may
+# be of a row that came into view.
+_NEWCOMERS, _ON_LINE = 2, 0.2
 # A button over the pitch, where its box has no size.
 _USUAL_SIZE = 0.6
 
@@ -115,6 +119,31 @@ def tracked(
         return result
     lost = measured and shown.measurement is None
     return witnessed(shown, result, usable, camera, image, config) if lost or not shown.ok else shown
+
+
+def grew(fit: FitResult, previous: FitResult) -> bool:
+    """Tell whether a row or column may have come into view: detections where the next one would be, or many more that
+    the lattice leaves out."""
+    out = (fit.cells[:, 0] < 0) & np.isfinite(fit.rays).all(axis=1)
+    if out.sum() >= len(previous.cells) - previous.inliers + _NEWCOMERS:
+        return True
+    panel, depth = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[out])
+    off, beyond = zip(
+        *(
+            _from_lines(panel[:, axis] / fit.pitch[axis], lines)
+            for axis, lines in ((1, fit.row_positions), (0, fit.column_positions))
+        ),
+        strict=True,
+    )
+    return bool(((np.maximum(*off) < _ON_LINE) & (beyond[0] | beyond[1]) & (depth > 0)).any())
+
+
+def _from_lines(place: Array, lines: Array) -> tuple[Array, BoolArray]:
+    """Return how far places are from the nearest line or the next one beyond, and whether that is beyond."""
+    more = np.concatenate([[lines[0] - 1.0], lines, [lines[-1] + 1.0]])
+    distance = np.abs(place[:, None] - more)
+    nearest = distance.argmin(axis=1)
+    return distance.min(axis=1), (nearest == 0) | (nearest == len(more) - 1)
 
 
 def witnessed(

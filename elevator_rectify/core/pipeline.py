@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from elevator_rectify.core.attempts import best_attempt, tracked
+from elevator_rectify.core.attempts import best_attempt, grew, tracked
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
@@ -55,7 +55,11 @@ def _fit(
         return _by_outlines(usable, camera, config, image, refused)
     if config.method == "joint":
         last = tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
-        return last or best_attempt(usable, camera, sigma, config, image).result
+        if last is not None and previous is not None and not grew(last, previous):
+            return last
+        fresh = best_attempt(usable, camera, sigma, config, image).result
+        more = last is None or not last.ok or (fresh.ok and fresh.inliers > last.inliers)
+        return fresh if more or last is None else last
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
 

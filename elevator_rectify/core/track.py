@@ -11,8 +11,8 @@ from elevator_rectify.core.config import SmoothingConfig
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, FitResult, FitT
 
-# 99.9 % of a chi-squared variable of six degrees of freedom: what lies beyond is a jump, not noise.
-_JUMP_CHI2 = 22.46
+# What lies beyond 99.9 % (so many standard deviations of a normal variable) is a jump or another panel, not noise.
+_JUMP_STDS = 3.09
 _SAME_LINE = 0.1
 
 
@@ -29,6 +29,13 @@ class Track:
     stamp_ns: int
 
 
+def recent(track: Track | None, stamp_ns: int, config: SmoothingConfig) -> FitResult | None:
+    """Return the last fit where it is young enough to start the fit of an image with this stamp."""
+    if track is None or not 0 <= stamp_ns - track.stamp_ns <= 1e9 * config.max_gap_s:
+        return None
+    return track.fit
+
+
 def smoothed(
     track: Track | None, fit: FitT, camera: Camera, stamp_ns: int, config: SmoothingConfig
 ) -> tuple[Track | None, FitT]:
@@ -40,12 +47,13 @@ def smoothed(
     """
     if not fit.ok:
         return track, fit
-    if track is not None and stamp_ns <= track.stamp_ns:
+    # An earlier stamp is a repeated frame, or, by far, that of a clock which was set back.
+    if track is not None and 0 <= track.stamp_ns - stamp_ns <= 1e9 * config.max_gap_s:
         return track, fit
     shape, measured = shape_of(fit), fit.shape_covariance
     fresh = Track(fit, fit.R_camera_panel, fit.t_camera_panel, shape, measured, stamp_ns)
     seconds = 0.0 if track is None else 1e-9 * (stamp_ns - track.stamp_ns)
-    if track is None or seconds > config.max_gap_s or not same_panel(track.fit, fit):
+    if track is None or not 0.0 < seconds <= config.max_gap_s or not same_panel(track.fit, fit):
         return fresh, fit
     unit = 1.0 if fit.metric else 1.0 / config.usual_pitch_m
     moved = np.repeat([config.speed_m_per_s * unit, config.turn_rad_per_s], 3) * seconds
@@ -53,14 +61,19 @@ def smoothed(
     turned = cv2.Rodrigues(fit.R_camera_panel @ track.R.T)[0].ravel()
     innovation = np.concatenate([fit.t_camera_panel - track.t, turned, shape - track.shape])
     together = prior + measured
-    pose = slice(0, 6)
-    if innovation[pose] @ np.linalg.solve(together[pose, pose], innovation[pose]) > _JUMP_CHI2:
+    if innovation @ np.linalg.solve(together, innovation) > _chi2(len(innovation)):
         return fresh, fit
     gain = np.linalg.solve(together, prior).T
     step = gain @ innovation
     R, t = cv2.Rodrigues(step[3:6])[0] @ track.R, track.t + step[:3]
     new = track.shape + step[6:]
     return Track(fit, R, t, new, prior - gain @ prior, stamp_ns), posed(shaped(fit, new), R, t, camera)
+
+
+def _chi2(freedom: int) -> float:
+    """Return the chi-squared variable's quantile of a jump, by Wilson and Hilferty's cube of a normal variable."""
+    spread = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - spread + _JUMP_STDS * np.sqrt(spread)) ** 3)
 
 
 def same_panel(one: FitResult, other: FitResult) -> bool:

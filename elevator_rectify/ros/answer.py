@@ -18,8 +18,8 @@ from elevator_rectify.core.geometry.scale import with_scale
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.target import Choice, find_button
-from elevator_rectify.core.track import Track, smoothed
-from elevator_rectify.core.types import Array, Button, Detection, Image
+from elevator_rectify.core.track import Track, recent, smoothed
+from elevator_rectify.core.types import Array, Button, Detection, FitResult, Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import Rectification, rectify_image
 from elevator_rectify.ros.config import DEFAULT_NODE, NodeConfig
@@ -110,9 +110,10 @@ def answer_frame(
         bad = GridFit(status="bad_input", reason=str(error), method=config.method)
         return Answer(frame.image.header, bad, stopwatch=watch), track
     watch.lap("convert")
-    fit, scale = _fit(given, config, track, node.measure)
+    stamp = stamp_ns(frame.image.header)
+    fit, scale = _fit(given, config, recent(track, stamp, config.smoothing), node.measure)
     if node.track:
-        track, fit = smoothed(track, fit, given.camera, stamp_ns(frame.image.header), config.smoothing)
+        track, fit = smoothed(track, fit, given.camera, stamp, config.smoothing)
     watch.lap("fit")
     if given.image is not None and reads:
         fit = with_labels(fit, given.image, given.camera)
@@ -217,9 +218,9 @@ def _depth(message: Any, ours: str) -> Array | str | None:
         return str(error)
 
 
-def _fit(given: Inputs, config: Config, track: Track | None, measure: bool) -> tuple[GridFit, str]:
+def _fit(given: Inputs, config: Config, previous: FitResult | None, measure: bool) -> tuple[GridFit, str]:
     """Return the fit, and where its metric scale is from."""
-    previous, image = track.fit if track is not None else None, given.image if measure else None
+    image = given.image if measure else None
     if given.depth is None or isinstance(given.depth, str):
         fit = fit_panel(given.detections, given.camera, config, previous, image)
         return fit, ("column pitch" if fit.metric else "unknown") + (f": {given.depth}" if given.depth else "")

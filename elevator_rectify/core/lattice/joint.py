@@ -10,7 +10,13 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.lattice.coarsening import coarsened
 from elevator_rectify.core.lattice.hypotheses import grown_hypotheses
-from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, refine_layout, regular_layout
+from elevator_rectify.core.lattice.layout import (
+    LayoutFit,
+    evaluate,
+    refine_layout,
+    regular_layout,
+    without_empty_blocks,
+)
 from elevator_rectify.core.lattice.refinement import (
     Poses,
     Scored,
@@ -78,6 +84,8 @@ def track_joint(
     fit = evaluate(previous.pose, previous.layout, rays, 6.0 * sigma, area, joint)
     fit = refine_layout(fit, rays, 2.0 * sigma, area, joint, steps=2)
     fit = refine_layout(fit, rays, sigma, area, joint, steps=3)
+    if fit.layout.row_breaks or fit.layout.column_breaks:
+        fit = evaluate(fit.pose, without_empty_blocks(fit), rays, sigma, area, joint)
     explained = float((fit.inlier > 0.5).mean())
     filled = len(np.unique(fit.node[fit.inlier > 0.5])) / fit.layout.cells
     return fit if explained >= _TRACKED_SHARE * share and filled > 0.4 and fit.sigma < 2.0 * sigma else None

@@ -154,6 +154,27 @@ def moved(layout: Layout, steps: Array) -> Layout:
     return replace(layout, rows=rows, columns=columns)
 
 
+def without_empty_blocks(fit: LayoutFit) -> Layout:
+    """Return the layout without the outer blocks that hold no detection: nothing says any more where they are."""
+    layout = fit.layout
+    row, column = np.divmod(fit.node[fit.inlier > 0.5], len(layout.columns))
+    r, row_breaks = _kept(len(layout.rows), layout.row_breaks, row)
+    c, column_breaks = _kept(len(layout.columns), layout.column_breaks, column)
+    return Layout(
+        layout.rows[r], layout.columns[c], layout.row_stagger[r], layout.column_stagger[c], row_breaks, column_breaks
+    )
+
+
+def _kept(number: int, breaks: tuple[int, ...], filled: IntArray) -> tuple[slice, tuple[int, ...]]:
+    """Return the lines from the first block with a filled line to the last one, and the breaks between them."""
+    edges = (0, *breaks, number)
+    held = [k for k in range(len(edges) - 1) if ((filled >= edges[k]) & (filled < edges[k + 1])).any()]
+    if not held:
+        return slice(0, number), breaks
+    low, high = edges[held[0]], edges[held[-1] + 1]
+    return slice(low, high), tuple(b - low for b in breaks if low < b < high)
+
+
 def pose_at(
     fit: LayoutFit, rays: Array, node: Array, config: JointConfig, weights: Array | None = None
 ) -> tuple[LatticePose, Array]:
