@@ -186,7 +186,7 @@ def pressed(outcomes: list[Outcome], label: str) -> str:
 
 def verdict(outcomes: list[Outcome], expected: int, answered: int) -> int:
     """Print what arrived and how long it took; 0 when every image has a status, with a reason where refused."""
-    complete = [o for o in outcomes if o.verdict and (o.ok == (o.verdict == "ok")) and (not o.ok or o.view is not None)]
+    complete = [o for o in outcomes if o.verdict and (o.ok == (o.verdict == "ok")) and (not o.ok or o.viewed)]
     refused = [o.verdict for o in outcomes if not o.ok]
     print(f"{expected} images played, {answered} answered, {len(complete)} of them completely, {len(refused)} refused:")
     print("\n".join(f"  {reason}" for reason in sorted(set(refused))) or "  none")

@@ -15,7 +15,16 @@ from elevator_rectify.core.view.text_grid import LEGEND, text_grid
 from elevator_rectify.progress import progress
 from elevator_rectify.recordings.report import write_report
 from elevator_rectify.ros.answer import Answer, answer_frame
-from elevator_rectify.ros.bag import BadBag, BagWriter, Record, bag_topics, bag_writer, make_bag_message, read_bag
+from elevator_rectify.ros.bag import (
+    BadBag,
+    BagWriter,
+    Record,
+    Unreadable,
+    bag_topics,
+    bag_writer,
+    make_bag_message,
+    read_bag,
+)
 from elevator_rectify.ros.config import DETECTION_TYPES, NodeConfig, PairingConfig
 from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.output import TOPICS, output_messages
@@ -78,8 +87,14 @@ def paired_frames(records: Iterator[Record], topics: InputTopics, pairing: Pairi
         topics.camera_info: pairing.add_camera_info,
         topics.detections: pairing.add_detections,
     }
+    streams = {topics.image: "image", topics.camera_info: "camera_info", topics.detections: "detections"}
     for record in records:
-        for frame in adders[record.topic](record.message):
+        try:
+            message = record.message
+        except Unreadable:
+            pairing.add_unreadable(streams[record.topic])
+            continue
+        for frame in adders[record.topic](message):
             yield frame, record.time_ns
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,16 @@ from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.core.view.draw import WHITE, caption, outlined_text
 from elevator_rectify.recordings.evaluate import right_cells
-from elevator_rectify.ros.bag import bag_topics, read_bag
+from elevator_rectify.ros.bag import BadBag, Record, Unreadable, bag_topics, read_bag
 from elevator_rectify.ros.config import DETECTION_TYPES
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, output_stamp_ns, stamp_ns
-from elevator_rectify.ros.pictures import image_from_message
+from elevator_rectify.ros.pictures import BadMessage, image_from_message
 
 _TILE = (320, 240)
+# A contact sheet has no more images.
+_MOST_TILES = 60
+_PREFIX = "/elevator_rectify/"
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
 @dataclass
@@ -41,8 +47,7 @@ class Outcome:
     pose: tuple[Array, Array] | None = None
     target: Array | None = None
     grid: Array | None = None
-    overlay: Image | None = None
-    view: Image | None = None
+    viewed: bool = False
 
     @property
     def ok(self) -> bool:
@@ -73,30 +78,51 @@ class Outcome:
         return right_cells(self.detections, self.camera.project(grid), truth, self.true_cells)
 
 
+@dataclass(frozen=True)
+class Pictures:
+    """What was published of one image for people."""
+
+    overlay: Image | None = None
+    view: Image | None = None
+
+
 def read_outcomes(source: Path, output: Path) -> list[Outcome]:
-    """Join the input bag and an output bag by stamp, oldest first."""
+    """Join the input bag and an output bag by stamp, oldest first; pictures are left in the bags."""
     outcomes: dict[int, Outcome] = {}
     kinds = {name: kind for name, (kind, _) in bag_topics(source).items()}
-    for record in read_bag_quietly(source):
-        message = record.message
+    for record, message in _messages(source, {name for name, kind in kinds.items() if kind not in _IMAGES}):
         header = message if record.kind == "std_msgs/msg/Header" else getattr(message, "header", None)
         if header is None:
             continue
         outcome = outcomes.setdefault(stamp_ns(header), Outcome(stamp_ns(header)))
         _take_input(outcome, record.topic, kinds[record.topic], message)
-    for record in read_bag_quietly(output):
-        message, topic = record.message, record.topic.removeprefix("/elevator_rectify/")
+    topics = {name for name, (kind, _) in bag_topics(output).items() if kind not in _IMAGES}
+    for record, message in _messages(output, topics):
         stamp = output_stamp_ns(message)
         if stamp in outcomes:
-            _take_output(outcomes[stamp], topic, message)
+            _take_output(outcomes[stamp], record.topic.removeprefix(_PREFIX), message)
     return [outcomes[stamp] for stamp in sorted(outcomes) if outcomes[stamp].values]
 
 
-def read_bag_quietly(path: Path) -> Any:
-    """Yield what can be read of a bag, damaged or not."""
+def read_pictures(output: Path, stamps: Collection[int]) -> dict[int, Pictures]:
+    """Return the pictures of these stamps."""
+    found: dict[int, Pictures] = {}
+    names = {f"{_PREFIX}overlay": "overlay", f"{_PREFIX}rectified/image": "view"}
+    for record, message in _messages(output, names.keys() & bag_topics(output).keys()):
+        stamp = stamp_ns(message.header)
+        if stamp in stamps:
+            given = {names[record.topic]: image_from_message(message)}
+            found[stamp] = replace(found.get(stamp, Pictures()), **given)
+    return found
+
+
+def _messages(path: Path, topics: Collection[str]) -> Iterator[tuple[Record, Any]]:
+    """Yield what can be read of the topics, of a damaged bag too."""
     try:
-        yield from read_bag(path)
-    except ValueError:
+        for record in read_bag(path, set(topics)):
+            with suppress(Unreadable):
+                yield record, record.message
+    except BadBag:
         return
 
 
@@ -112,7 +138,9 @@ def _take_input(outcome: Outcome, topic: str, kind: str, message: Any) -> None:
     elif kind == "std_msgs/msg/Header":
         outcome.name = message.frame_id
     elif kind == "sensor_msgs/msg/CameraInfo":
-        outcome.camera = camera_from_message(message)
+        # Of a camera that is not calibrated nothing is compared; its frames were refused with the reason.
+        with suppress(BadMessage):
+            outcome.camera = camera_from_message(message)
     elif kind in DETECTION_TYPES.values():
         outcome.detections = np.array([[d.x_px, d.y_px] for d in detections_from_message(message)]).reshape(-1, 2)
 
@@ -127,10 +155,8 @@ def _take_output(outcome: Outcome, topic: str, message: Any) -> None:
         outcome.target = pose_of_message(message.pose)[1]
     elif topic == "grid_centers":
         outcome.grid = _positions(message)
-    elif topic == "overlay":
-        outcome.overlay = image_from_message(message)
-    elif topic == "rectified/image":
-        outcome.view = image_from_message(message)
+    elif topic == "rectified/camera_info":
+        outcome.viewed = True
 
 
 def pose_of_message(message: Any) -> tuple[Array, Array]:
@@ -170,23 +196,31 @@ def _line(method: str, group: str, rows: Sequence[Outcome]) -> str:
     return f"{method:<18}{group:<14}{len(rows):>7}{len(good):>9}{metric:>15.4f}{numbers[0]:>15}{numbers[1]:>13}"
 
 
-def contact_sheet(outcomes: Sequence[Outcome], columns: int = 5) -> Image:
+def contact_sheet(outcomes: Sequence[Outcome], pictures: Mapping[int, Pictures], columns: int = 5) -> Image:
     """Return every image's overlay above its rectified view, `columns` images a row."""
-    tiles = [np.vstack([_named(_tile(row.overlay, ""), row.name), _tile(row.view, row.verdict)]) for row in outcomes]
+    tiles = []
+    for row in outcomes:
+        shown = pictures.get(row.stamp, Pictures())
+        tiles.append(np.vstack([_named(_tile(shown.overlay, ""), row.name), _tile(shown.view, row.verdict)]))
     blank = np.zeros((2 * _TILE[1], _TILE[0], 3), np.uint8)
     tiles += [blank] * (-len(tiles) % columns)
     return np.vstack([np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)] or [blank])
 
 
-def before_after(outcomes: Sequence[Outcome], groups: int = 3) -> Image | None:
-    """Return overlay and rectified view, side by side, of the last accepted image of the first few groups."""
-    last = {row.group: row for row in outcomes if row.overlay is not None and row.view is not None}
+def last_viewed(outcomes: Sequence[Outcome], groups: int = 3) -> list[Outcome]:
+    """Return the last image with a rectified view of the first few groups."""
+    return list({row.group: row for row in outcomes if row.viewed}.values())[:groups]
+
+
+def before_after(pictures: Sequence[Pictures]) -> Image | None:
+    """Return overlay and rectified view, side by side, of every picture that has both, below each other."""
     pairs = []
-    for row in list(last.values())[:groups]:
-        assert row.overlay is not None and row.view is not None
-        height = row.overlay.shape[0]
-        width = round(row.view.shape[1] * height / row.view.shape[0])
-        pairs.append(np.hstack([row.overlay, cv2.resize(row.view, (width, height), interpolation=cv2.INTER_AREA)]))
+    for shown in pictures:
+        if shown.overlay is None or shown.view is None:
+            continue
+        height = shown.overlay.shape[0]
+        width = round(shown.view.shape[1] * height / shown.view.shape[0])
+        pairs.append(np.hstack([shown.overlay, cv2.resize(shown.view, (width, height), interpolation=cv2.INTER_AREA)]))
     widest = max((pair.shape[1] for pair in pairs), default=0)
     padded = [cv2.copyMakeBorder(pair, 0, 0, 0, widest - pair.shape[1], cv2.BORDER_CONSTANT) for pair in pairs]
     if not padded:
@@ -225,12 +259,20 @@ def write_report(source: Path, outputs: dict[str, Path], folder: Path) -> dict[s
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "table.txt").write_text(text + "\n")
     for method, rows in outcomes.items():
-        sheet = folder / f"contact_sheet_{method}.jpg"
-        cv2.imwrite(str(sheet), contact_sheet(rows))
-        print(f"pictures: {sheet}")
-        pair = before_after(rows)
-        if pair is not None:
-            cv2.imwrite(str(folder / f"before_after_{method}.jpg"), pair, [cv2.IMWRITE_JPEG_QUALITY, 85])
+        _write_pictures(method, rows, outputs[method], folder)
         print(f"bag:      {outputs[method]}")
     print(f"table:    {folder / 'table.txt'}")
     return outcomes
+
+
+def _write_pictures(method: str, rows: list[Outcome], output: Path, folder: Path) -> None:
+    """Write contact sheet and before_after of one method, of a long bag every n-th image; say what was written."""
+    every = max(1, math.ceil(len(rows) / _MOST_TILES))
+    chosen, last = rows[::every], last_viewed(rows)
+    pictures = read_pictures(output, {row.stamp for row in [*chosen, *last]})
+    sheet = folder / f"contact_sheet_{method}.jpg"
+    if cv2.imwrite(str(sheet), contact_sheet(chosen, pictures)):
+        print(f"pictures: {sheet}" + (f", every {every}th of {len(rows)} images" if every > 1 else ""))
+    pair = before_after([pictures[row.stamp] for row in last if row.stamp in pictures])
+    if pair is not None:
+        cv2.imwrite(str(folder / f"before_after_{method}.jpg"), pair, [cv2.IMWRITE_JPEG_QUALITY, 85])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag2 import ReaderError, StoragePlugin, Writer
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from elevator_rectify.ros.messages import MakeRosbags
@@ -57,6 +57,10 @@ def bag_writer(path: Path) -> Iterator[BagWriter]:
         raise BadBag(f"{path} cannot be written: {error}") from error
 
 
+class Unreadable(ValueError):
+    """A recorded message whose bytes are not of its type, or whose type is not known."""
+
+
 @dataclass(frozen=True)
 class Record:
     """One recorded message: topic, type name, log time, serialised bytes and, on demand, the message."""
@@ -70,14 +74,21 @@ class Record:
 
     @property
     def message(self) -> Any:
-        """Return the deserialised rosbags message."""
-        return self.typestore.deserialize_cdr(self.data, self.kind)
+        """Return the deserialised rosbags message. Raises Unreadable."""
+        try:
+            return self.typestore.deserialize_cdr(self.data, self.kind)
+        except Exception as error:
+            # rosbags raises what its generated code meets in damaged bytes: struct, index, memory, unicode errors.
+            raise Unreadable(f"{self.topic}: not a {self.kind}: {error!r:.200}") from error
 
 
 def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
     """Return {topic: (type name, number of messages)}; raise BadBag where there is no readable bag."""
     with _opened(path) as reader:
-        return {name: (str(info.msgtype), int(info.msgcount)) for name, info in reader.topics.items()}
+        topics: dict[str, tuple[str, int]] = {}
+        for c in reader.connections:
+            topics[c.topic] = str(c.msgtype), topics.get(c.topic, ("", 0))[1] + int(c.msgcount)
+        return topics
 
 
 def read_bag(path: Path, topics: set[str] | None = None) -> Iterator[Record]:
@@ -87,22 +98,40 @@ def read_bag(path: Path, topics: set[str] | None = None) -> Iterator[Record]:
     """
     with _opened(path) as reader:
         chosen = [c for c in reader.connections if topics is None or c.topic in topics]
+        stores = {c.id: _typestore(c) for c in chosen}
         try:
             for number, (connection, time_ns, data) in enumerate(reader.messages(chosen) if chosen else ()):
-                # The bag brings the definitions of its own types, such as vision_msgs.
-                yield Record(connection.topic, connection.msgtype, time_ns, bytes(data), number, reader.typestore)
-        except (ReaderError, AnyReaderError, OSError, ValueError, EOFError) as error:
-            raise BadBag(f"{path} breaks off: {error}") from error
+                yield Record(connection.topic, connection.msgtype, time_ns, bytes(data), number, stores[connection.id])
+        except Exception as error:
+            # As above: whatever the storage's parser meets in damaged bytes.
+            raise BadBag(f"{path} breaks off: {error!r:.200}") from error
+
+
+def _typestore(connection: Connection) -> Any:
+    """Return the types by which a topic is read: those that the bag brings, where they can be read, else Jazzy's.
+
+    One topic of a type that nobody knows, such as a service's events, must not make the others unreadable.
+    """
+    if connection.msgdef.format is not MessageDefinitionFormat.MSG:
+        return TYPESTORE
+    try:
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+    except Exception:
+        return TYPESTORE
+    return store
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
+def _opened(path: Path) -> Iterator[Reader]:
+    if path.suffix == ".bag" or (path.is_file() and path.open("rb").read(9) == b"#ROSBAG V"):
+        raise BadBag(f"{path} is a bag of ROS 1: convert it, rosbags-convert --src {path} --dst FOLDER")
     try:
-        reader = AnyReader([path], default_typestore=TYPESTORE)
+        reader = Reader(path)
         reader.open()
     except Exception as error:
         # rosbags raises what its parsers raise on a damaged file: struct, assertion, lookup, yaml errors.
-        raise BadBag(f"{path} is no readable bag: {error!r}") from error
+        raise BadBag(f"{path} is no readable bag: {error!r:.300}") from error
     try:
         yield reader
     finally:

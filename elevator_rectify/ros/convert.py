@@ -148,20 +148,25 @@ def _named(item: Any) -> tuple[str, str, float]:
     """Return the class name, the class id and the score of a detection's best hypothesis."""
     if not hasattr(item, "results"):
         return str(item.class_name), str(item.class_id), float(item.score)
-    best = max((r.hypothesis for r in item.results), key=lambda h: np.nan_to_num(h.score, nan=-1.0), default=None)
-    return ("", "", 1.0) if best is None else (str(best.class_id), str(best.class_id), float(best.score))
+    # vision_msgs of Foxy has no hypothesis of its own, and calls the class id.
+    given = (getattr(r, "hypothesis", r) for r in item.results)
+    best = max(given, key=lambda h: np.nan_to_num(h.score, nan=-1.0), default=None)
+    if best is None:
+        return "", "", 1.0
+    name = str(best.class_id if hasattr(best, "class_id") else best.id)
+    return name, name, float(best.score)
 
 
 def _detection(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> Detection:
     """Return one vision_msgs or yolo_msgs detection."""
     box = item.bbox
     width, height = (box.size.x, box.size.y) if hasattr(box, "size") else (box.size_x, box.size_y)
-    theta = float(getattr(box.center, "theta", 0.0))
+    theta, centre = float(getattr(box.center, "theta", 0.0)), getattr(box.center, "position", box.center)
     cosine, sine = abs(np.cos(theta)), abs(np.sin(theta))
     name, number, score = _named(item)
     return Detection(
-        float(box.center.position.x),
-        float(box.center.position.y),
+        float(centre.x),
+        float(centre.y),
         float(width * cosine + height * sine),
         float(width * sine + height * cosine),
         _label(name, number, labels, numbers_are_labels),
