@@ -1,4 +1,6 @@
 import array
+from dataclasses import replace
+from types import SimpleNamespace as Flat
 from typing import Any
 
 import cv2
@@ -306,3 +308,23 @@ def test_classes_that_are_no_buttons_are_left_out_and_unread_ones_have_no_label(
     assert len(kept) == len(names)
     mapped = detections_from_message(message, DetectionsConfig(labels="7=led, led=8", ignore=" LED "))
     assert [d.x_px for d in mapped if d.label == "8"] == [1.0] and 9.0 not in [d.x_px for d in mapped]
+
+
+def test_several_hypotheses_are_a_distribution_where_their_scores_can_be_one() -> None:
+    message = boxes_message([Detection(1.0, 1.0, 9.0, 9.0, "B1", 0.6)], make_bag_header(0, "camera"), make_bag_message)
+    (item,) = message.detections
+    second = make_bag_message("vision_msgs/msg/ObjectHypothesis", class_id="B7", score=0.3)
+    results = [*item.results, replace(item.results[0], hypothesis=second)]
+    several = replace(message, detections=[replace(item, results=results)])
+    (found,) = detections_from_message(several)
+    assert found.label == "B1" and found.readings == (("B1", 0.6), ("B7", 0.3))
+    second = replace(second, score=0.9)
+    results = [*item.results, replace(item.results[0], hypothesis=second)]
+    (found,) = detections_from_message(replace(message, detections=[replace(item, results=results)]))
+    assert found.label == "B7" and found.readings == ()
+
+
+def test_boxes_of_foxys_vision_msgs_are_read() -> None:
+    centre, result = Flat(x=40.0, y=30.0, theta=0.0), Flat(id="open", score=0.8)
+    item = Flat(bbox=Flat(center=centre, size_x=9.0, size_y=8.0), results=[result])
+    assert detections_from_message(Flat(detections=[item])) == [Detection(40.0, 30.0, 9.0, 8.0, "open", 0.8)]

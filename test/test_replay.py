@@ -1,18 +1,24 @@
+import dataclasses
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from elevator_rectify.core import Detection
-from elevator_rectify.recordings import make_bag, replay
+from elevator_rectify.recordings import make_bag, play, replay
 from elevator_rectify.recordings.report import read_outcomes
+from elevator_rectify.recordings.topics import OUTPUT_PREFIX, find_topics
 from elevator_rectify.render import bag as render
-from elevator_rectify.ros.bag import BadBag, bag_topics, bag_writer, read_bag
+from elevator_rectify.render.bag import header_message as make_header
+from elevator_rectify.ros.bag import TYPESTORE, BadBag, Unreadable, bag_topics, bag_writer, make_bag_message, read_bag
 from elevator_rectify.ros.config import DetectionsConfig
 from elevator_rectify.ros.convert import detections_from_message
 from elevator_rectify.ros.messages import MakeRosbags
@@ -59,7 +65,7 @@ def test_the_joint_method_finds_every_panel(tmp_path: Path) -> None:
 
 def test_outputs_are_written_with_the_images_stamps(replayed: Path) -> None:
     topics = bag_topics(replayed / "paper")
-    assert set(topics) == {replay.OUTPUT_PREFIX + topic for topic in TOPICS}
+    assert set(topics) == {OUTPUT_PREFIX + topic for topic in TOPICS}
     assert topics["/elevator_rectify/status"][1] == 25
     assert (replayed / "table.txt").read_text().count("elevator_") == 5
     assert cv2.imread(str(replayed / "contact_sheet_paper.jpg")) is not None
@@ -140,7 +146,7 @@ def test_make_bag_keeps_sizes_labels_scores_and_names(tmp_path: Path) -> None:
     assert found == [Detection(20, 32, 20, 24, "7", 0.9), Detection(50, 32, 20, 24, "", 0.4)]
     (name,) = read_bag(tmp_path / "bag", {"/camera/file_name"})
     assert name.message.frame_id == "one.PNG"
-    assert replay.find_topics(tmp_path / "bag", {}).detections == "/detections_labelled"
+    assert find_topics(tmp_path / "bag", {}).detections == "/detections_labelled"
 
 
 @pytest.mark.parametrize(
@@ -195,3 +201,80 @@ def vision_detections(message: Any, make: MakeRosbags) -> Any:
 
     found = [item(pose.position.x, pose.position.y) for pose in message.poses]
     return make("vision_msgs/msg/Detection2DArray", header=message.header, detections=found)
+
+
+def test_topics_are_those_whose_stamps_meet(tmp_path: Path) -> None:
+    """A planner's poses, a depth image, another camera and the node's own outputs are there, too."""
+    with bag_writer(tmp_path / "bag") as bag:
+        for k, record in enumerate(read_bag(PAPER_BAG)):
+            if record.topic == "/detections":
+                bag.write_raw("/seen/buttons", record.kind, record.data, record.time_ns)
+                late = dataclasses.replace(record.message, header=make_header(9_000 + k, "map"))
+                bag.write("/a/detections", record.kind, late, record.time_ns)
+            elif record.topic == "/camera/camera_info":
+                bag.write_raw("/front/info", record.kind, record.data, record.time_ns)
+                other = dataclasses.replace(record.message, header=make_header(9_000 + k, "rear"))
+                bag.write("/a/camera_info", record.kind, other, record.time_ns)
+            elif record.topic == "/camera/image/compressed":
+                bag.write_raw("/front/picture", record.kind, record.data, record.time_ns)
+                bag.write_raw("/robot/elevator_rectify/image", record.kind, record.data, record.time_ns)
+                depth = make_bag_message(
+                    "sensor_msgs/msg/Image", header=record.message.header, height=2, width=2, encoding="16UC1",
+                    is_bigendian=0, step=4, data=np.zeros(8, np.uint8),
+                )  # fmt: skip
+                bag.write("/a/image", "sensor_msgs/msg/Image", depth, record.time_ns)
+    found = find_topics(tmp_path / "bag", {})
+    assert (found.image, found.camera_info, found.detections) == ("/front/picture", "/front/info", "/seen/buttons")
+
+
+def test_a_topic_of_an_unknown_type_leaves_the_others_readable(tmp_path: Path) -> None:
+    with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        known = {}
+        for record in read_bag(PAPER_BAG):
+            if record.topic not in known:
+                known[record.topic] = writer.add_connection(record.topic, record.kind, typestore=TYPESTORE)
+            writer.write(known[record.topic], record.time_ns, record.data)
+        odd = writer.add_connection("/odd", "my_msgs/srv/Do_Event", msgdef="((( no type", rihs01="RIHS01_" + "0" * 64)
+        writer.write(odd, 1, b"abcd")
+    topics = find_topics(tmp_path / "bag", {})
+    assert len(list(read_bag(tmp_path / "bag", {topics.image}))) == 25
+    (record,) = read_bag(tmp_path / "bag", {"/odd"})
+    with pytest.raises(Unreadable, match="/odd"):
+        _ = record.message
+
+
+@pytest.mark.parametrize("program", [replay.main, play.main])
+def test_a_bag_of_ros_1_is_refused_with_the_way_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], program: Callable[[list[str]], int]
+) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Ros1Writer(tmp_path / "old.bag") as writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        text = store.types["std_msgs/msg/String"](data="x")
+        writer.write(connection, 1, store.serialize_ros1(text, "std_msgs/msg/String"))
+    assert program([str(tmp_path / "old.bag")]) == 2
+    told = capsys.readouterr().err
+    assert "rosbags-convert" in told and told.count("\n") == 1
+
+
+def test_damaged_copies_of_a_bag_are_answered_or_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Bytes flipped anywhere: seeded, and of few frames, so that forty copies take seconds."""
+    small = tmp_path / "small"
+    with bag_writer(small) as bag:
+        for record in read_bag(PAPER_BAG):
+            if record.number < 21:
+                bag.write_raw(record.topic, record.kind, record.data, record.time_ns)
+    rng = np.random.default_rng(3)
+    for number in range(40):
+        copy = tmp_path / f"copy_{number}"
+        shutil.copytree(small, copy)
+        victim = next(copy.glob("*.mcap")) if number % 4 else copy / "metadata.yaml"
+        data = bytearray(victim.read_bytes())
+        for at in rng.integers(0, len(data), 1 + number % 5):
+            data[at] ^= int(rng.integers(1, 256))
+        victim.write_bytes(data)
+        code = replay.main([str(copy), "--output", str(tmp_path / f"out_{number}")])
+        err = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("replay joint [")]
+        assert code in (0, 1, 2) and len(err) <= 1, err

@@ -244,6 +244,52 @@ def test_floors_along_the_diagonals_of_a_brick_layout_are_read() -> None:
     assert (np.diff(number[best.index]) > 0).all()
 
 
+Readings = tuple[tuple[str, float], ...]
+
+
+def panel_of(changed: dict[str, Readings]) -> GridFit:
+    """Return the view's fit where each button is read as its label, but for these."""
+    detections = []
+    for d, b in zip(labelled({}), VIEW.button, strict=True):
+        read = changed.get(label_of(b), ((label_of(b), 0.97),))
+        detections.append(replace(d, label=_top(read), score=read[0][1] if read else 1.0, readings=read))
+    return fit_panel(detections, VIEW.camera, METRIC)
+
+
+def _top(read: Readings) -> str:
+    return read[0][0] if read and read[0][1] > 1.0 - sum(p for _, p in read) else ""
+
+
+def test_the_second_reading_counts_where_the_order_asks_for_it() -> None:
+    """A 6 that may be an 8 between 7 and 9 is the 8."""
+    fit = panel_of({"8": (("6", 0.5), ("8", 0.4))})
+    eight = next(b for b in fit.buttons if b.read == "6" and b.label != "6")
+    assert eight.label == "8" and eight.label_source == "corrected" and eight.label_probability > 0.9
+    assert sorted(b.label for b in fit.buttons) == sorted(label_of(b) for b in VIEW.button)
+
+
+def test_what_cannot_be_read_says_nothing_and_the_order_fills_it() -> None:
+    button = next(b for b in panel_of({"6": (("3", 0.02), ("8", 0.02))}).buttons if not b.read)
+    assert button.label == "6" and button.label_source == "inferred"
+
+
+def test_one_button_that_may_be_open_is_it_and_two_are_asked_about() -> None:
+    maybe = (("open", 0.7), ("up", 0.1))
+    one = panel_of({"1": maybe, "2": (("close", 0.95),)})
+    assert find_button(one, "open").button is not None
+    two = panel_of({"1": maybe, "2": (("open", 0.55), ("close", 0.3))})
+    assert find_button(two, "open").status == "two_candidates"
+    none = panel_of({"1": (("alarm", 0.9), ("open", 0.01)), "2": (("close", 0.95),)})
+    assert find_button(none, "open").button is None
+
+
+@pytest.mark.parametrize("readings", [(("", 0.5),), (("7", float("nan")),), (("7", 2.0), ("8", -1.0)), (("7", 0.0),)])
+def test_readings_that_are_none_are_left_out(readings: Readings) -> None:
+    places = panel_of({"1": readings}).reading.places
+    assert all(0.0 < p <= 1.0 for read in places.readings for _, p in read)
+    assert all(sum(p for _, p in read) <= 1.0 + 1e-9 for read in places.readings)
+
+
 def bare_places(line: Array, at: Array) -> PanelPlaces:
     """Return places with a button at each and no more."""
     count, no = len(line), np.zeros(len(line), dtype=bool)

@@ -16,7 +16,11 @@ Image = NDArray[Any]
 
 @dataclass(frozen=True)
 class Detection:
-    """One detected button: box centre and size in pixels, reading and score as far as known."""
+    """One detected button: box centre and size in pixels, reading and score as far as known.
+
+    readings: all that may be printed there with its probability, likeliest first, where the reader says more than one
+    label; what is missing to 1 is that nothing can be read.
+    """
 
     x_px: float
     y_px: float
@@ -24,6 +28,7 @@ class Detection:
     height_px: float = 0.0
     label: str = ""
     score: float = 1.0
+    readings: tuple[tuple[str, float], ...] = ()
 
 
 def _nan(*shape: int) -> Any:

@@ -19,8 +19,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from elevator_rectify.arguments import add_bag, add_domain, bag_or_sample
-from elevator_rectify.recordings.replay import OUTPUT_PREFIX, InputTopics, find_topics
 from elevator_rectify.recordings.report import Outcome, write_report
+from elevator_rectify.recordings.topics import OUTPUT_PREFIX, InputTopics, find_topics
 from elevator_rectify.ros.bag import BagWriter, bag_topics, bag_writer
 from elevator_rectify.ros.messages import installed, ros_type
 from elevator_rectify.ros.output import TARGET, TOPICS

@@ -12,7 +12,7 @@ import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, Image
-from elevator_rectify.recordings.replay import find_topics
+from elevator_rectify.recordings.topics import find_topics
 from elevator_rectify.ros.bag import read_bag
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message
 from elevator_rectify.ros.messages import make_ros

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -14,6 +14,7 @@ from elevator_rectify.core.config import METHODS, Config, flatten, with_values
 from elevator_rectify.core.view.text_grid import LEGEND, text_grid
 from elevator_rectify.progress import progress
 from elevator_rectify.recordings.report import write_report
+from elevator_rectify.recordings.topics import OUTPUT_PREFIX, STREAM_TYPES, InputTopics, find_topics
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.bag import (
     BadBag,
@@ -25,59 +26,13 @@ from elevator_rectify.ros.bag import (
     make_bag_message,
     read_bag,
 )
-from elevator_rectify.ros.config import DETECTION_TYPES, NodeConfig, PairingConfig
+from elevator_rectify.ros.config import NodeConfig, PairingConfig
 from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.output import TOPICS, output_messages
 from elevator_rectify.ros.pairing import Frame, Pairing
 
-OUTPUT_PREFIX = "/elevator_rectify/"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 _SINGLE_IMAGES = NodeConfig(track=False)
-
-
-@dataclass(frozen=True)
-class InputTopics:
-    """Where the three streams are in a bag."""
-
-    image: str
-    camera_info: str
-    detections: str
-
-
-# Message types that serve as each stream, in order of preference.
-_STREAM_TYPES = {
-    "image": ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"),
-    "camera_info": ("sensor_msgs/msg/CameraInfo",),
-    # Boxes with sizes and labels before bare centres.
-    "detections": tuple(reversed(DETECTION_TYPES.values())),
-}
-
-
-def find_topics(
-    path: Path, given: dict[str, str | None], usable: Callable[[str], bool] = lambda kind: True
-) -> InputTopics:
-    """Return the bag's input topics: the given ones, else the first of the right type; BadBag where one is missing.
-
-    usable: tells which types may be chosen, such as those that are installed.
-    """
-    topics = {
-        name: kind for name, (kind, _) in bag_topics(path).items() if not name.startswith(("/truth/", OUTPUT_PREFIX))
-    }
-    found = {}
-    for stream, kinds in _STREAM_TYPES.items():
-        wish = given.get(stream)
-        fitting = [name for kind in kinds for name in sorted(topics) if topics[name] == kind and usable(kind)]
-        named = [name for name in fitting if stream in name]
-        if wish is not None and topics.get(wish) not in kinds:
-            raise BadBag(f"{path} has no topic {wish} of type {' or '.join(kinds)}; it has {_listed(topics)}")
-        if wish is None and not fitting:
-            raise BadBag(f"{path} has no {stream}: no topic of type {' or '.join(kinds)}; it has {_listed(topics)}")
-        found[stream] = wish or (named or fitting)[0]
-    return InputTopics(**found)
-
-
-def _listed(topics: dict[str, str]) -> str:
-    return ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
 
 
 def paired_frames(records: Iterator[Record], topics: InputTopics, pairing: Pairing) -> Iterator[tuple[Frame, int]]:
@@ -138,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="a parameter, e.g. scale.column_pitch_m=0.045"
     )
-    for stream in _STREAM_TYPES:
+    for stream in STREAM_TYPES:
         parser.add_argument(f"--{stream.replace('_', '-')}", help=f"topic of the {stream}; else found by its type")
     return parser
 
@@ -173,10 +128,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         methods = options.method.split(",")
         configs = {method: replace(_config(options.set), method=method) for method in methods}
-        topics = find_topics(options.bag, {stream: getattr(options, stream) for stream in _STREAM_TYPES})
+        topics = find_topics(options.bag, {stream: getattr(options, stream) for stream in STREAM_TYPES})
     except ValueError as error:
         print(f"replay: {error}", file=sys.stderr)
         return 2
+    print(f"topics:   {topics.image}, {topics.camera_info}, {topics.detections}{_others(options.bag, topics)}")
     code, outputs = 0, {}
     for method, config in configs.items():
         outputs[method] = _free_folder(options.output / method)
@@ -189,8 +145,26 @@ def main(arguments: list[str] | None = None) -> int:
         except BadBag as error:
             print(f"replay: {error}", file=sys.stderr)
             code = 1
-    write_report(options.bag, outputs, options.output)
+        except KeyboardInterrupt:
+            print("replay: interrupted, what was answered until then is written", file=sys.stderr)
+            code = 130
+            break
+    # Nothing is written where nothing could be read.
+    write_report(
+        options.bag,
+        {method: path for method, path in outputs.items() if (path / "metadata.yaml").exists()},
+        options.output,
+    )
     return code
+
+
+def _others(bag: Path, chosen: InputTopics) -> str:
+    """Return what else of the right types is there."""
+    taken = {chosen.image, chosen.camera_info, chosen.detections}
+    kinds = {kind for several in STREAM_TYPES.values() for kind in several}
+    others = [name for name, (kind, _) in sorted(bag_topics(bag).items()) if kind in kinds and name not in taken]
+    shown = [name for name in others if not name.startswith("/truth/")]
+    return f" (there are {', '.join(shown)} too: --image, --camera-info, --detections choose)" if shown else ""
 
 
 def _free_folder(path: Path) -> Path:

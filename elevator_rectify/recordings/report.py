@@ -17,6 +17,7 @@ from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.core.view.draw import WHITE, caption, outlined_text
 from elevator_rectify.recordings.evaluate import right_cells
+from elevator_rectify.recordings.topics import OUTPUT_PREFIX
 from elevator_rectify.ros.bag import BadBag, Record, Unreadable, bag_topics, read_bag
 from elevator_rectify.ros.config import DETECTION_TYPES
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, output_stamp_ns, stamp_ns
@@ -25,7 +26,6 @@ from elevator_rectify.ros.pictures import BadMessage, image_from_message
 _TILE = (320, 240)
 # A contact sheet has no more images.
 _MOST_TILES = 60
-_PREFIX = "/elevator_rectify/"
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
@@ -72,7 +72,8 @@ class Outcome:
         if self.grid is None or self.true_cells is None or self.true_pose is None or self.camera is None:
             return float("nan")
         R, t = self.true_pose
-        assert self.true_buttons is not None
+        if self.true_buttons is None or len(self.true_buttons) != len(self.true_cells):
+            return float("nan")
         grid = self.grid.reshape(int(self.values["rows"]), int(self.values["columns"]), 3)
         truth = self.camera.project(self.true_buttons @ R.T + t)
         return right_cells(self.detections, self.camera.project(grid), truth, self.true_cells)
@@ -100,14 +101,14 @@ def read_outcomes(source: Path, output: Path) -> list[Outcome]:
     for record, message in _messages(output, topics):
         stamp = output_stamp_ns(message)
         if stamp in outcomes:
-            _take_output(outcomes[stamp], record.topic.removeprefix(_PREFIX), message)
+            _take_output(outcomes[stamp], record.topic.removeprefix(OUTPUT_PREFIX), message)
     return [outcomes[stamp] for stamp in sorted(outcomes) if outcomes[stamp].values]
 
 
 def read_pictures(output: Path, stamps: Collection[int]) -> dict[int, Pictures]:
     """Return the pictures of these stamps."""
     found: dict[int, Pictures] = {}
-    names = {f"{_PREFIX}overlay": "overlay", f"{_PREFIX}rectified/image": "view"}
+    names = {f"{OUTPUT_PREFIX}overlay": "overlay", f"{OUTPUT_PREFIX}rectified/image": "view"}
     for record, message in _messages(output, names.keys() & bag_topics(output).keys()):
         stamp = stamp_ns(message.header)
         if stamp in stamps:

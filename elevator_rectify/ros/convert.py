@@ -25,6 +25,8 @@ NUMBER_IDS = (
 )
 # Names that annotators give to buttons on which nothing can be read.
 UNREAD = ("unknown", "blur", "empty", "-", "button")
+# Scores of one detection's hypotheses that add up to more are no probabilities.
+_MOST_IN_ALL = 1.02
 _NUMBER = re.compile(r"[+-]?\d+")
 
 
@@ -171,7 +173,24 @@ def _detection(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> D
         float(width * sine + height * cosine),
         _label(name, number, labels, numbers_are_labels),
         score,
+        _readings(item, labels, numbers_are_labels),
     )
+
+
+def _readings(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> tuple[tuple[str, float], ...]:
+    """Return the labels of several hypotheses with their scores, where these can be probabilities."""
+    given = [getattr(r, "hypothesis", r) for r in getattr(item, "results", ())]
+    if len(given) < 2:
+        return ()
+    names = [str(h.class_id if hasattr(h, "class_id") else h.id) for h in given]
+    found = [
+        (_label(name, name, labels, numbers_are_labels), float(h.score)) for name, h in zip(names, given, strict=True)
+    ]
+    found = [(label, p) for label, p in found if label and label.lower() not in UNREAD]
+    probabilities = np.array([p for _, p in found])
+    if not len(found) or not (probabilities >= 0.0).all() or probabilities.sum() > _MOST_IN_ALL:
+        return ()
+    return tuple(sorted(found, key=lambda item: -item[1]))
 
 
 def _label(name: str, number: str, labels: dict[str, str], numbers_are_labels: bool) -> str:

@@ -19,6 +19,10 @@ _EXCHANGED, _LOST, _ADDED, _ANYTHING = 0.7, 0.12, 0.08, 0.1
 _RIGHT, _LEAST_RIGHT, _MOST_RIGHT = 0.9, 0.05, 0.97
 # Of letters and controls, at score 0 and 1: there are so many of them, and they are seldom taken for numbers.
 _RIGHT_OTHER = (0.92, 0.99)
+# Of a label that has its own probability what is left is that the printer, or the annotator, erred.
+_READ_RIGHT = 0.99
+# What says that nothing can be read says so of every label alike: the reader expects a label about so much more seldom.
+_UNREAD = 0.005
 _LABELS, _OTHER_AS_NUMBER, _LOOK_ALIKE = 40.0, 0.002, 0.3
 _FLOOR_AS_OTHER = 0.02
 
@@ -87,13 +91,34 @@ def emissions_of(places: PanelPlaces, present: Array, right: Array, numbers: Int
     filled = places.filled
     floor = np.repeat(np.where(filled, 1.0, present)[:, None], len(numbers), axis=1) * np.ones((len(right), 1, 1))
     other = np.where(filled, 1.0, 1.0 - present) * np.ones((len(right), 1))
-    labelled = [k for k in np.flatnonzero(filled).tolist() if places.label[k]]
+    soft = [k for k in np.flatnonzero(filled).tolist() if places.read_at(k)]
+    for k in soft:
+        floor[:, k], other[:, k] = _of_readings(places.read_at(k), numbers)
+    labelled = [k for k in np.flatnonzero(filled).tolist() if places.label[k] and k not in soft]
     at = [k for k in labelled if is_number(places.label[k])]
     read = np.array([int(places.label[k]) for k in at], dtype=np.int64)
     floor[:, at], other[:, at] = _of_numbers(read, right[:, at], numbers)
     texts = sorted(set(labelled) - set(at))
     floor[:, texts], other[:, texts] = _of_texts([places.label[k] for k in texts], right[:, texts], numbers)
     return floor, other
+
+
+def _of_readings(readings: tuple[tuple[str, float], ...], numbers: IntArray) -> tuple[Array, Array]:
+    """Return the likelihoods (1, S) and (1,) of a reading that is a distribution: those of its labels by their
+    probabilities; where nothing can be read, everything is as likely as before."""
+    names, p = [label for label, _ in readings], np.array([p for _, p in readings])
+    kinds = np.array([is_number(name) for name in names])
+    unread = _UNREAD * max(0.0, 1.0 - float(p.sum()))
+    floor, other = np.full(len(numbers), unread), unread
+    sure = np.full((1, len(names)), _READ_RIGHT)
+    read = np.array([int(name) for name, kind in zip(names, kinds, strict=True) if kind], dtype=np.int64)
+    texts = [name for name, kind in zip(names, kinds, strict=True) if not kind]
+    for some, (of_floor, of_other) in (
+        (kinds, _of_numbers(read, sure[:, kinds], numbers)),
+        (~kinds, _of_texts(texts, sure[:, ~kinds], numbers)),
+    ):
+        floor, other = floor + p[some] @ of_floor[0], other + float(p[some] @ of_other[0])
+    return floor[None], np.array([other])
 
 
 def _of_numbers(read: IntArray, right: Array, numbers: IntArray) -> tuple[Array, Array]:

@@ -29,8 +29,9 @@ class PanelPlaces:
     line: (K, 2) row and column counted from the upper left, of the others the nearest ones or a half between; at:
     (K, 2) the same as places, half a line further where staggered. panel: (K, 2) in the panel frame, in the fit's
     unit. detection: (K,) that stands for each, -1 for none; label, read: (K,) canonical and as written, '' for none;
-    score: (K,). shown: (K,) whether the picture shows a button there; taken: (K,) empty cells that overlap with a
-    detection beside them; beyond: (K,) cells half a pitch outside of the grid's box.
+    score: (K,); readings: (K,) all labels that were read with their probabilities, () where only `label` is known.
+    shown: (K,) whether the picture shows a button there; taken: (K,) empty cells that overlap with a detection beside
+    them; beyond: (K,) cells half a pitch outside of the grid's box.
     """
 
     cells: int
@@ -44,6 +45,11 @@ class PanelPlaces:
     shown: BoolArray
     taken: BoolArray
     beyond: BoolArray
+    readings: tuple[tuple[tuple[str, float], ...], ...] = ()
+
+    def read_at(self, k: int) -> tuple[tuple[str, float], ...]:
+        """Return what was read at place k as a distribution, () where only its label is known."""
+        return self.readings[k] if self.readings else ()
 
     @cached_property
     def filled(self) -> BoolArray:
@@ -76,7 +82,18 @@ def places_of(fit: FitResult) -> PanelPlaces:
         shown=np.concatenate([shown, none]),
         taken=np.concatenate([taken, none]),
         beyond=np.concatenate([_beyond(fit).ravel(), none]),
+        readings=tuple(_readings(d) for d in given),
     )
+
+
+def _readings(detection: Detection | None) -> tuple[tuple[str, float], ...]:
+    """Return the canonical labels that were read, each once, with their probabilities."""
+    found: dict[str, float] = {}
+    for text, p in () if detection is None else detection.readings:
+        if (label := canonical(text)) and 0.0 < p <= 1.0:
+            found[label] = found.get(label, 0.0) + float(p)
+    total = max(1.0, sum(found.values()))
+    return tuple((label, p / total) for label, p in sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _in_cells(fit: FitResult, ranked: list[int]) -> IntArray:

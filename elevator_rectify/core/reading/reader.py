@@ -225,7 +225,10 @@ def _patch(image: Image, corners_px: Array) -> Image:
 
 def labelled(detections: Sequence[Detection], reads: Sequence[Read]) -> tuple[Detection, ...]:
     """Return the detections with what was read where they bring no label of their own."""
-    return tuple(
-        d if d.label or not r.label else replace(d, label=r.label, score=r.labels[0][1])
-        for d, r in zip(detections, reads, strict=True)
-    )
+    return tuple(d if d.label else _with_read(d, r) for d, r in zip(detections, reads, strict=True))
+
+
+def _with_read(detection: Detection, read: Read) -> Detection:
+    if not read.label:
+        return replace(detection, readings=read.labels)
+    return replace(detection, label=read.label, score=read.labels[0][1], readings=read.labels)
