@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 
+from elevator_rectify.benchmark.adversarial import adversarial_table
 from elevator_rectify.benchmark.buttons import buttons_table
 from elevator_rectify.benchmark.detector import detector_table
 from elevator_rectify.benchmark.end_to_end import end_to_end_table
@@ -57,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--sequences", type=int, default=0, metavar="N", help="tracking, on N camera paths of each kind"
     )
+    parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
     parser.add_argument(
@@ -82,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
     reference_ms = yardstick_ms()
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if options.detector or options.reader or options.end_to_end else tables
-    tables = _sequences if options.sequences else tables
+    tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
         seed = _FIXED_SEED if options.fixed else options.seed
@@ -141,6 +143,11 @@ def _pictures(options: argparse.Namespace, figures: Figures, reference_ms: float
 def _sequences(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the table of tracked camera paths."""
     print(sequence_table(options.sequences, options.seed, figures))
+
+
+def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the table of detections that lie."""
+    print(adversarial_table(options.adversarial, options.seed, figures))
 
 
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
