@@ -131,6 +131,21 @@ def test_a_wrong_parameter_ends_the_node_with_a_message() -> None:
     assert ended.returncode == 2 and "inlier_share" in ended.stderr and "Traceback" not in ended.stderr
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["--params-file", "/nowhere.yaml"], "/nowhere.yaml"),
+        (["-p", "qos_overrides./image.subscription.reliability:=sometimes"], "sometimes"),
+        (["-r", "image"], "remap rule"),
+    ],
+)
+def test_a_wrong_command_line_ends_the_node_with_a_message(wrong: list[str], words: str) -> None:
+    ended = subprocess.run(
+        [*NODE, *wrong], env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == 2 and words in ended.stderr and "Traceback" not in ended.stderr
+
+
 def test_the_demo_answers_every_image(tmp_path: Path) -> None:
     script = "import sys; from elevator_rectify.live.demo import main; sys.exit(main(sys.argv[1:]))"
     command = [

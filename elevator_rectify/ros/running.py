@@ -18,18 +18,27 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+def _refused(error: Exception) -> int:
+    """Say in one line what is wrong with the command line, a parameter file or a QoS override."""
+    print(f"elevator_rectify: {' '.join(str(error).split())}", file=sys.stderr)
+    return 2
+
+
 def run_node(make: Callable[[], Any], args: list[str] | None) -> int:
     """Run the node that `make` makes, with a method `close`; 0 on a clean end, 2 for wrong parameters."""
     # The handlers are ours, so that the node can still log and leave the graph when a signal comes.
-    rclpy.init(args=args, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    except (RuntimeError, rclpy.exceptions.ROSInterruptException) as error:
+        return _refused(error)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
         node = make()
-    except (ValueError, rclpy.exceptions.ParameterException) as error:
-        print(f"elevator_rectify: {error}", file=sys.stderr)
+    except (ValueError, RuntimeError, rclpy.exceptions.ParameterException) as error:
+        # A QoS override that is none is a RuntimeError of rclpy's.
         rclpy.try_shutdown()
-        return 2
+        return _refused(error)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
