@@ -87,6 +87,14 @@ def test_scaling_a_fit_is_fitting_with_the_pitch() -> None:
         np.testing.assert_allclose(getattr(ours, name), getattr(known, name), rtol=1e-9, atol=1e-12)
 
 
+def test_a_depth_in_millimetres_is_not_taken_for_metres() -> None:
+    view = scene(4, sigma_px=0.5)
+    fit = fit_panel(view.centres_px, view.camera)
+    for factor, known in ((1.0, True), (1000.0, False), (0.001, False)):
+        metric, said = with_scale(fit, view.camera, factor * depth_of(view), NO_PITCH)
+        assert metric.metric == known and ("another unit" in said) != known
+
+
 def moved_grid(fit: GridFit, step: Array) -> Array:
     """Return the grid's points (R C, 3) of a fit whose (t, rotation, ln aspect, breaks) are moved."""
     rows = int(fit.row_block[-1])

@@ -18,6 +18,8 @@ _FEWEST = 24
 _SYSTEMATIC_SHARE = 0.01
 _WIDEST_SPREAD = 0.1
 _DISAGREEMENT_STDS = 4.0
+# Columns of buttons are no nearer to each other than a finger's width, and no further apart than a hand.
+_SMALLEST_PITCH_M, _LARGEST_PITCH_M = 0.01, 0.2
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ def scale_from_depth(fit: FitResult, camera: Camera, depth_m: Array) -> Scale:
     spread = 1.4826 * float(np.median(np.abs(ratios - metres))) / metres
     if spread > _WIDEST_SPREAD:
         return _unknown(f"the depth image does not show the fitted plane: it deviates by {spread:.0%}")
+    if not _SMALLEST_PITCH_M <= metres <= _LARGEST_PITCH_M:
+        return _unknown(f"a column pitch of {metres:.4g} m by the depth is no panel's: is the depth in another unit?")
     return Scale(metres, metres * float(np.hypot(_SYSTEMATIC_SHARE, spread / np.sqrt(len(ratios)))))
 
 
