@@ -156,6 +156,16 @@ def test_beyond_its_length_the_queue_drops_the_oldest() -> None:
 MILLISECOND = 1_000_000
 
 
+def test_a_short_bag_is_answered_in_every_loop() -> None:
+    pairing, answered = Pairing(PairingConfig()), 0
+    for _ in range(5):
+        for k in range(10):
+            stamp = (k + 1) * 50 * MILLISECOND
+            frames = pairing.add_camera_info(camera_info(stamp)) + pairing.add_image(image(stamp))
+            answered += len(frames + pairing.add_detections(detections(stamp)))
+    assert answered == 50 and pairing.jumps == 4
+
+
 def synchronised(config: PairingConfig = PairingConfig()) -> tuple[Pairing, int]:  # noqa: B008
     """Return a pairing that has seen some images with a camera info each, and the next stamp."""
     pairing = Pairing(config)

@@ -61,7 +61,7 @@ class Pairing:
     def add_image(self, message: Any) -> list[Frame]:
         """Buffer an image; the oldest ones give way when count or bytes exceed the bounds."""
         stamp = self._received("image", message)
-        if self._newest_ns is not None and stamp < self._newest_ns - 1e9 * self.config.jump_s:
+        if self._newest_ns is not None and (stamp < self._newest_ns - 1e9 * self.config.jump_s or self._loops(stamp)):
             self._clock_went_back(stamp)
         self._newest_ns = stamp if self._newest_ns is None else max(self._newest_ns, stamp)
         if stamp in self._images or stamp in self._done:
@@ -116,6 +116,10 @@ class Pairing:
     def has_camera_info(self) -> bool:
         """Tell whether any camera info is kept."""
         return bool(self._infos)
+
+    def _loops(self, stamp: int) -> bool:
+        """Tell whether a short bag begins again: its first answered image comes again, after others."""
+        return len(self._done) > 1 and stamp == next(iter(self._done)) and stamp != self._newest_ns
 
     def _clock_went_back(self, now: int) -> None:
         """Empty the buffers; what is of the new time already, ahead of its image, stays, and so does the last info."""
