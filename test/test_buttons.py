@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,6 +68,17 @@ def test_no_spelling_has_two_meanings_and_every_label_spells_itself() -> None:
 def test_any_text_has_a_label_that_is_its_own_label(text: str) -> None:
     label = canonical(text)
     assert len(label) <= 96 and label.isprintable() and canonical(label) == label
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [('{"open": ["a"],\n "close": [}', "line 2"), ("[]", "an object"), ('{"open": "a"}', "an object")],
+)
+def test_a_broken_file_of_spellings_is_told_with_its_line(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "labels.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        aliases(path)
 
 
 def test_buttons_lie_where_they_are_on_the_panel() -> None:

@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 
 from elevator_rectify.core.detector.follow import Found
 from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.reading.labels import aliases
 from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.convert import class_labels, stamp_ns
@@ -59,7 +60,9 @@ class ElevatorRectify(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("elevator_rectify", **options)
         self.node_config, self.config = declare(self)
+        # What cannot be read ends the node here, not every frame.
         class_labels(self.node_config.detections.labels)
+        aliases()
         self.add_on_set_parameters_callback(self._on_parameters)
         self.pairing = Pairing(self.node_config.pairing)
         self.statistics = Statistics()

@@ -18,8 +18,15 @@ _STARS = "*★☆"
 
 @cache
 def aliases(path: Path = ALIASES) -> dict[str, str]:
-    """Return {spelling: label} of a file of aliases; every label spells itself."""
-    table = json.loads(path.read_text(encoding="utf-8"))
+    """Return {spelling: label} of a file of aliases; every label spells itself. Raises ValueError, with the line."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}, line {error.lineno}: {error.msg}") from error
+    if not isinstance(table, dict) or not all(
+        isinstance(several, list) and all(isinstance(text, str) for text in several) for several in table.values()
+    ):
+        raise ValueError(f"{path}: an object is expected, of lists of spellings by label")
     return {_plain(spelling): name for name, spellings in table.items() for spelling in (name, *spellings)}
 
 
