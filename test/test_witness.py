@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from elevator_rectify.benchmark.adversarial import PICTURED
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Config, Detection, NetworkConfig, fit_panel
 from elevator_rectify.core.detector.peaks import Boxes
@@ -109,3 +110,12 @@ def test_a_cap_in_the_box_of_cap_and_plate_is_no_shift() -> None:
         seen, shift = _seen(things, centres, sizes)
         assert seen.all()
         np.testing.assert_allclose(np.linalg.norm(shift), expected, atol=1e-9)
+
+
+def test_boxes_of_another_panel_are_contradicted_by_the_buttons_that_the_picture_shows() -> None:
+    """On draws where the boxes outnumber the pictured buttons by far, which were accepted with confidence .99."""
+    for number in (22, 40, 48):
+        given = pictured(("easy", "medium", "hard")[number % 3], 1001, number, held_out=True)
+        lying = PICTURED["another panel"](given, np.random.default_rng([1001, number, len("another panel")]))
+        fit = fit_panel(lying, given.scene.camera, Config(), image=given.image)
+        assert not fit.ok

@@ -107,7 +107,7 @@ def _grid(rng: Rng, rows: tuple[int, int] = (3, 8), columns: tuple[int, int] = (
 def _placed(points: Array, rng: Rng) -> Array:
     """Return points in pitches as pixels of a frontal view, with a detector's noise."""
     points = (points - points.mean(axis=0)) * rng.uniform(35, 55)
-    return points + np.array([320.0, 240.0]) + rng.normal(0, 1.0, points.shape)
+    return np.asarray(points + np.array([320.0, 240.0]) + rng.normal(0, 1.0, points.shape))
 
 
 def _corner_of_walls(rng: Rng) -> Array:

@@ -26,6 +26,8 @@ _FILLED = 0.55
 # where so many sure buttons have no box: at least, and over the number of boxes.
 _CONFIRMED_SHARE = 0.75
 _ELSEWHERE, _ELSEWHERE_SHARE = 2, 0.15
+# Where so few boxes are seen, some likely buttons elsewhere will do: the picture shows buttons, but not these.
+_HARDLY_SEEN, _LIKELY_HEAT = 0.3, 0.25
 # Boxes that are seen, but all off to one side by more than this share of their size, are of another moment.
 _COMMON_SHIFT = 0.2
 # A picture is sharp where a hundredth of it has gradients like this (grey levels a pixel); a box is empty where the
@@ -50,8 +52,11 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
         return Opinion(CONFIRMED, f"{share:.0%} of the boxes are seen in the picture")
     if share >= _CONFIRMED_SHARE:
         return Opinion(CONTRADICTED, f"the boxes are all off by {off:.2f} of their size from what the picture shows")
-    elsewhere = _elsewhere(found.boxes_px[found.is_button & (found.heat > _SURE_HEAT)], centres_px)
-    if elsewhere >= max(_ELSEWHERE, _ELSEWHERE_SHARE * len(seen)):
+    hardly = share < _HARDLY_SEEN
+    sure = found.is_button & (found.heat > (_LIKELY_HEAT if hardly else _SURE_HEAT))
+    elsewhere = _elsewhere(found.boxes_px[sure], centres_px)
+    enough = _ELSEWHERE if hardly else max(_ELSEWHERE, _ELSEWHERE_SHARE * len(seen))
+    if elsewhere >= enough:
         text = f"{share:.0%} of the boxes are where the picture shows buttons, {elsewhere} buttons are elsewhere"
         return Opinion(CONTRADICTED, text)
     empty = _empty_share(image, centres_px, sizes_px)
