@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
+from elevator_rectify.benchmark.turned_reading import turned
 from elevator_rectify.core import Camera, Config, fit_panel
-from elevator_rectify.core.geometry.rotations import rotation_angle_rad
+from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit
 from elevator_rectify.core.lattice.refinement import Poses
 from elevator_rectify.core.picture.patches import Window, picture_of, sample
@@ -182,3 +183,17 @@ def test_a_wider_layout_keeps_its_nodes_where_they_are(axis: int, before: bool, 
     assert (np.abs(after[new, 1 - axis] - beyond) <= (0.5 if axis == 1 else 0.0)).all()
     assert wider.layout.row_breaks == (2 + (axis == 0 and before),)
     assert wider.layout.column_breaks == (3 + (axis == 1 and before),)
+
+
+def test_a_panel_that_is_turned_is_found_turned_by_as_much() -> None:
+    given = pictured("easy", 60, 3, held_out=True)
+    camera, detections = given.scene.camera, list(given.scene.detections)
+    fit = fit_panel(detections, camera, Config(), image=given.image)
+    assert fit.ok
+    same = turned(given.image, detections, camera, fit, 0.0)
+    np.testing.assert_allclose([d.x_px for d in same.detections], [d.x_px for d in detections], atol=1e-3)
+    seen = turned(given.image, detections, camera, fit, 30.0)
+    again = fit_panel(seen.detections, camera, Config(), image=seen.image)
+    expected = fit.R_camera_panel @ rotation(np.array([0.0, np.deg2rad(30.0), 0.0]))
+    # Caps that stand out of the plate do not turn with a plane's map.
+    assert again.ok and np.rad2deg(rotation_angle_rad(expected.T @ again.R_camera_panel)) < 1.5

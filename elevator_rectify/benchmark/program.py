@@ -22,6 +22,7 @@ from elevator_rectify.benchmark.synthetic import yardstick_ms
 from elevator_rectify.benchmark.synthetic_tables import negative_table, synthetic_table
 from elevator_rectify.benchmark.timing import measurement_line, timing_table
 from elevator_rectify.benchmark.turned import turned_table
+from elevator_rectify.benchmark.turned_reading import turned_reading_table
 from elevator_rectify.core.config import METHODS
 from elevator_rectify.render.levels import LEVELS
 
@@ -31,6 +32,7 @@ _FIXED_PANELS = 40
 _LABELLED = {
     "detector": "precision and recall of our own detector",
     "reader": "how much our own reader reads right",
+    "turned": "reading turned pictures as they are and rectified",
     "end-to-end": "from the picture alone to the button, beside true boxes",
 }
 _FIXED_LEVELS = ["easy", "medium", "hard"]
@@ -83,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     reference_ms = yardstick_ms()
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
-    tables = _labelled if options.detector or options.reader or options.end_to_end else tables
+    tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
@@ -152,7 +154,13 @@ def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: fl
 
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the tables of our own detector and reader."""
-    for name, table in (("detector", detector_table), ("reader", reader_table), ("end_to_end", end_to_end_table)):
+    of_part = {
+        "detector": detector_table,
+        "reader": reader_table,
+        "turned": turned_reading_table,
+        "end_to_end": end_to_end_table,
+    }
+    for name, table in of_part.items():
         folder = getattr(options, name)
         if folder is None:
             continue
