@@ -128,22 +128,22 @@ def grew(fit: FitResult, previous: FitResult) -> bool:
     if out.sum() >= len(previous.cells) - previous.inliers + _NEWCOMERS:
         return True
     panel, depth = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[out])
-    off, beyond = zip(
-        *(
-            _from_lines(panel[:, axis] / fit.pitch[axis], lines)
-            for axis, lines in ((1, fit.row_positions), (0, fit.column_positions))
-        ),
-        strict=True,
-    )
-    return bool(((np.maximum(*off) < _ON_LINE) & (beyond[0] | beyond[1]) & (depth > 0)).any())
+    row, row_half, row_beyond = _from_lines(panel[:, 1] / fit.pitch[1], fit.row_positions)
+    column, column_half, column_beyond = _from_lines(panel[:, 0] / fit.pitch[0], fit.column_positions)
+    # The next row or column may be half a pitch aside.
+    next_row = row_beyond & (row < _ON_LINE) & (np.minimum(column, column_half) < _ON_LINE)
+    next_column = column_beyond & (column < _ON_LINE) & (np.minimum(row, row_half) < _ON_LINE)
+    return bool(((next_row | next_column) & (depth > 0)).any())
 
 
-def _from_lines(place: Array, lines: Array) -> tuple[Array, BoolArray]:
-    """Return how far places are from the nearest line or the next one beyond, and whether that is beyond."""
+def _from_lines(place: Array, lines: Array) -> tuple[Array, Array, BoolArray]:
+    """Return how far places are from the nearest line or the next one beyond, from half a pitch behind one, and whether
+    the nearest is beyond."""
     more = np.concatenate([[lines[0] - 1.0], lines, [lines[-1] + 1.0]])
     distance = np.abs(place[:, None] - more)
     nearest = distance.argmin(axis=1)
-    return distance.min(axis=1), (nearest == 0) | (nearest == len(more) - 1)
+    half = np.abs(place[:, None] - more - 0.5).min(axis=1)
+    return distance.min(axis=1), half, (nearest == 0) | (nearest == len(more) - 1)
 
 
 def witnessed(
