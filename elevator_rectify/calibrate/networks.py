@@ -61,23 +61,25 @@ def _f1(said: Array, right: Array) -> float:
 
 
 def logits_of(task: tuple[str, str]) -> list[tuple[Array, int, tuple[int, ...], bool]]:
-    """Return logits, kind, slots and whether it was seen twice of the readable buttons of a picture: (folder, name)."""
+    """Return logits, kind, slots and whether it is small of the readable buttons of a picture: (folder, name)."""
     (picture,) = read_labelled(Path(task[0]), names=(task[1],))
     chosen = [k for k, label in enumerate(picture.labels) if picture.is_button[k] and readable(label)]
     corners = reader.box_corners_px([true_box(picture.boxes_px[k]) for k in chosen])
     said = [encoded(picture.labels[k]) for k in chosen]
-    logits, twice = reader.view_logits(picture.image, corners)
-    return [(row, KINDS.index(s[0]), s[1], bool(t)) for row, s, t in zip(logits, said, twice, strict=True) if s]
+    logits, small = reader.quadrangle_logits(picture.image, corners), map(reader.is_small, corners)
+    return [(row, KINDS.index(s[0]), s[1], t) for row, s, t in zip(logits, said, small, strict=True) if s]
 
 
 def calibrate_reader(folder: Path) -> None:
     """Find the temperatures at which the true labels are likeliest, and write them beside the reader."""
     tasks = [(str(folder), p.name) for p in read_labelled(folder, validation=True)]
     examples = [e for several in parallel(logits_of, tasks, "logits") for e in several]
-    twice = [e for e in examples if e[3]]
-    found = {"one_view": _best_temperature([e for e in examples if not e[3]]), "two_views": _best_temperature(twice)}
+    found = {
+        name: _best_temperature([e for e in examples if e[3] == small])
+        for name, small in (("small", True), ("large", False))
+    }
     reader.CALIBRATION.write_text(json.dumps({"temperature": found}) + "\n")
-    print(f"{len(examples)} buttons, {len(twice)} of them seen twice: {reader.CALIBRATION.read_text().strip()}")
+    print(f"{len(examples)} buttons: {reader.CALIBRATION.read_text().strip()}")
 
 
 def _best_temperature(examples: list[tuple[Array, int, tuple[int, ...], bool]]) -> float:

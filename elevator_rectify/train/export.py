@@ -14,8 +14,9 @@ import torch
 from onnx import TensorProto, numpy_helper
 from torch import nn
 
+from elevator_rectify.core.reading.reader import PATCH_PX
 from elevator_rectify.train.detector_net import DetectorNet
-from elevator_rectify.train.reader_net import PATCH, ReaderNet
+from elevator_rectify.train.reader_net import ReaderNet
 
 
 def folded(net: nn.Module) -> nn.Module:
@@ -49,7 +50,7 @@ def export(checkpoint: Path, output: Path, side: tuple[int, int]) -> None:
     net: nn.Module = DetectorNet() if detector else ReaderNet()
     net.load_state_dict(state["average"])
     net = without_identities(folded(net))
-    shape = (1, 3, *side) if detector else (1, 1, PATCH, PATCH)
+    shape = (1, 3, *side) if detector else (1, 3, PATCH_PX, PATCH_PX)
     dynamic = None if detector else {"patches": {0: "n"}, "logits": {0: "n"}}
     names = (
         {"input_names": ["image"], "output_names": ["out"]}

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from elevator_rectify.train.checkpoint import Checkpoint
 from elevator_rectify.train.schedule import Average, learning_rate
 
+Batch = tuple[Tensor, ...]
+Draw = Callable[[np.random.Generator], Batch]
+_draw: Draw
+# Batches drawn ahead.
+_AHEAD = 4
 _LARGEST_GRADIENT, _TOLD_EVERY = 5.0, 100
 
 
@@ -29,20 +40,46 @@ def add_training(parser: argparse.ArgumentParser, name: str, steps: int, batch: 
     parser.add_argument("--all", action="store_true", help="train on the validation part too")
 
 
+def batches(draw: Draw, seed: int, step: int, steps: int) -> Iterator[Batch]:
+    """Yield the batches of the steps, each of its own seed, drawn ahead in a second process."""
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_keep, initargs=(draw,)) as pool:
+        ahead = deque(pool.submit(_drawn, seed, k) for k in range(step, min(step + _AHEAD, steps)))
+        for k in range(step, steps):
+            batch = ahead.popleft().result()
+            if k + _AHEAD < steps:
+                ahead.append(pool.submit(_drawn, seed, k + _AHEAD))
+            yield tuple(torch.from_numpy(part) for part in batch)
+
+
+def _keep(draw: Draw) -> None:
+    """Keep what draws in the process that draws: its data are inherited, not sent."""
+    global _draw
+    _draw = draw
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+def _drawn(seed: int, step: int) -> tuple[NDArray[Any], ...]:
+    return tuple(part.numpy() for part in _draw(np.random.default_rng([seed, step])))
+
+
 def train(
-    net: torch.nn.Module, loss_of: Callable[[np.random.Generator], Tensor], args: argparse.Namespace, decay: float
+    net: torch.nn.Module, draw: Draw, loss_of: Callable[[Batch], Tensor], args: argparse.Namespace, decay: float
 ) -> None:
-    """Train from the checkpoint where there is one. loss_of: draws a batch and returns the network's loss on it."""
+    """Train from the checkpoint where there is one. draw: draws a batch; loss_of: the network's loss on it."""
+    # Convolutions on a processor are one and a half to two times as fast with the channels last.
+    net.to(memory_format=torch.channels_last)
     average = Average(net)
     optimiser = torch.optim.AdamW(net.parameters(), lr=args.rate, weight_decay=decay)
     checkpoint = Checkpoint(args.checkpoint, net, average, optimiser)
     step, begun, mean = checkpoint.load(), time.time(), 0.0
     print(f"{sum(p.numel() for p in net.parameters())} weights, from step {step} of {args.steps}", flush=True)
     net.train()
-    while step < args.steps:
+    for batch in batches(draw, args.seed, step, args.steps):
         for group in optimiser.param_groups:
             group["lr"] = learning_rate(step, args.steps, args.rate)
-        loss = loss_of(np.random.default_rng([args.seed, step]))
+        loss = loss_of((batch[0].contiguous(memory_format=torch.channels_last), *batch[1:]))
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), _LARGEST_GRADIENT)

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
+from elevator_rectify.core.reading.reader import PATCH_PX, normalised
 from elevator_rectify.core.reading.vocabulary import BLANK, KINDS, SLOTS, encoded
 from elevator_rectify.train.labelled import is_other_thing, read_labelled
 from elevator_rectify.train.loop import add_training, train
-from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, normalised, random_text, spoilt_patch
-from elevator_rectify.train.reader_net import PATCH, ReaderNet
+from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, random_text, spoilt_patch
+from elevator_rectify.train.reader_net import ReaderNet
 
-# Patches are cut from pictures of twice the size: the turn and shear then lose nothing.
-_GROWN = 2
 Sample = tuple[Any, NDArray[np.float64], str, tuple[int, ...], str]
 
 
@@ -29,11 +29,10 @@ def samples_of(data: Path, validation: bool | None) -> list[Sample]:
     """Return (picture, box, kind, slots, label) of every box that the network can say."""
     samples: list[Sample] = []
     for picture in read_labelled(data, validation):
-        grown = cv2.resize(picture.image, None, fx=_GROWN, fy=_GROWN, interpolation=cv2.INTER_CUBIC)
         for box, label in zip(picture.boxes_px, picture.labels, strict=True):
             said = ("other", (BLANK,) * SLOTS) if is_other_thing(label) else encoded(label)
             if said is not None:
-                samples.append((grown, box.astype(float) * _GROWN, *said, label))
+                samples.append((picture.image, box.astype(float), *said, label))
     return samples
 
 
@@ -49,29 +48,34 @@ def weights_of(samples: list[Sample]) -> NDArray[np.float64]:
     return np.asarray(w / w.sum())
 
 
-def batch_of(
-    samples: list[Sample],
-    weights: NDArray[np.float64],
-    number: int,
-    drawn: float,
-    rng: np.random.Generator,
-    fonts: list[Path],
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return patches (B, 1, S, S), kinds (B,) and slots (B, 4), a share of them drawn."""
-    patches, kinds, slots = [], [], []
-    for k in rng.choice(len(samples), number, p=weights):
-        if rng.random() < drawn:
-            text = random_text(rng)
-            said = encoded("s" + text[1:] if text.startswith("*") else text)
-            assert said is not None
-            patch, (kind, code) = drawn_patch(text, PATCH, rng, fonts), said
-        else:
-            image, box, kind, code, _ = samples[k]
-            patch = cut_patch(image, box, PATCH, rng)
-        patches.append(normalised(spoilt_patch(patch, rng)))
-        kinds.append(KINDS.index(kind))
-        slots.append(code)
-    return torch.from_numpy(np.stack(patches)[:, None]), torch.tensor(kinds), torch.tensor(slots)
+@dataclass(frozen=True)
+class Source:
+    """Where batches come from: samples with how often to draw each, and the share of drawn patches with their fonts."""
+
+    samples: list[Sample]
+    weights: NDArray[np.float64]
+    drawn: float
+    fonts: list[Path]
+
+    def batch(self, number: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Return patches (B, 3, S, S), kinds (B,) and slots (B, 4)."""
+        patches, kinds, slots = [], [], []
+        for k in rng.choice(len(self.samples), number, p=self.weights):
+            if rng.random() < self.drawn:
+                patch, kind, code = self._drawn(rng)
+            else:
+                image, box, kind, code, _ = self.samples[k]
+                patch = cut_patch(image, box, PATCH_PX, rng)
+            patches.append(normalised(spoilt_patch(patch, rng)))
+            kinds.append(KINDS.index(kind))
+            slots.append(code)
+        return torch.from_numpy(np.stack(patches)), torch.tensor(kinds), torch.tensor(slots)
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[Any, str, tuple[int, ...]]:
+        text = random_text(rng)
+        said = encoded("s" + text[1:] if text.startswith("*") else text)
+        assert said is not None
+        return drawn_patch(text, PATCH_PX, rng, self.fonts), *said
 
 
 def loss_of(logits: Tensor, kinds: Tensor, slots: Tensor) -> Tensor:
@@ -92,14 +96,14 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
-    net, samples, fonts = ReaderNet(), samples_of(args.data, None if args.all else False), font_files()
-    weights = weights_of(samples)
+    net, samples = ReaderNet(), samples_of(args.data, None if args.all else False)
+    source = Source(samples, weights_of(samples), args.drawn, font_files())
 
-    def of_batch(rng: np.random.Generator) -> Tensor:
-        patches, kinds, slots = batch_of(samples, weights, args.batch, args.drawn, rng, fonts)
+    def loss(batch: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        patches, kinds, slots = batch
         return loss_of(net(patches), kinds, slots)
 
-    train(net, of_batch, args, decay=1e-2)
+    train(net, partial(source.batch, args.batch), loss, args, decay=1e-2)
 
 
 if __name__ == "__main__":

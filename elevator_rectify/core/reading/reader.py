@@ -15,19 +15,22 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
-from elevator_rectify.core.types import Array, BoolArray, Detection, FitResult, Image
+from elevator_rectify.core.types import Array, Detection, FitResult, Image
 
 WEIGHTS = Path(__file__).with_name("reader.onnx")
-# Side of a patch, and what it shows over the box, as in training.
-PATCH_PX, MARGIN = 48, 1.15
-# Buttons of this many pixels and more are read from closer, too: so much of the patch's side.
-_LEAST_CLOSE_PX, _CLOSE = 20.0, 0.85 / 1.15
+# Side of a patch, and what it shows over the box; the network looks at the whole and, closer, at the middle.
+PATCH_PX, MARGIN = 96, 1.25
+# Smaller buttons than this, in pixels, are read less surely in other ways than larger ones.
+_LARGE_PX = 20.0
+# Pictures that are shrunk by more than this are smoothed first.
+SHARPEST = 1.6
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
 _MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
-# Written by `calibrate --reader`: the temperatures, by the number of views, that soften the network's certainty.
+# Written by `calibrate --reader`: the temperatures that soften the network's certainty.
 CALIBRATION = Path(__file__).with_name("reader.json")
 
 
@@ -55,8 +58,8 @@ def _network(path: Path) -> Any:
 
 
 def read_patches(patches: Sequence[Image], weights: Path = WEIGHTS) -> list[Read]:
-    """Read square patches (48, 48[, 3]) uint8 in one batch."""
-    return [_read(logits) for logits in logits_of(patches, weights) / _temperature("one_view")]
+    """Read square patches (96, 96[, 3]) uint8 in one batch."""
+    return [_read(logits) for logits in logits_of(patches, weights) / temperatures()[1]]
 
 
 def logits_of(patches: Sequence[Image], weights: Path = WEIGHTS) -> Array:
@@ -64,20 +67,23 @@ def logits_of(patches: Sequence[Image], weights: Path = WEIGHTS) -> Array:
     if not len(patches):
         return np.zeros((0, len(KINDS) + SLOTS * (BLANK + 1)))
     network = _network(weights)
-    network.setInput(np.stack([_normalised(p) for p in patches])[:, None])
+    network.setInput(np.stack([normalised(p) for p in patches]))
     return np.asarray(network.forward())
 
 
 @cache
-def _temperature(views: str) -> float:
-    return float(json.loads(CALIBRATION.read_text())["temperature"][views])
+def temperatures() -> tuple[float, float]:
+    """Return the temperatures of small buttons and of large ones."""
+    table = json.loads(CALIBRATION.read_text())["temperature"]
+    return float(table["small"]), float(table["large"])
 
 
-def _normalised(patch: Image) -> Array:
-    """Return the patch in grey with mean 0 and standard deviation 1."""
-    grey = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)
-    grey = grey.astype(np.float32)
-    return np.asarray((grey - grey.mean()) / (grey.std() + 4.0), dtype=np.float32)
+def normalised(patch: Image) -> NDArray[np.float32]:
+    """Return the patch (96, 96[, 3]) as (3, 96, 96), its brightness of mean 0 and standard deviation 1."""
+    colours = cv2.cvtColor(patch, cv2.COLOR_GRAY2BGR) if patch.ndim == 2 else patch
+    grey = cv2.cvtColor(colours, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    planes = (colours.astype(np.float32) - grey.mean()) / (grey.std() + np.float32(8.0))
+    return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 
 def _read(logits: Array) -> Read:
@@ -117,7 +123,7 @@ def _texts(slots: Array) -> dict[str, float]:
 
 def read_boxes(image: Image, detections: Sequence[Detection], weights: Path = WEIGHTS) -> list[Read]:
     """Read the boxes of a picture as they are, without a pose."""
-    return _read_views(image, box_corners_px(detections), weights)
+    return _read_quadrangles(image, box_corners_px(detections), weights)
 
 
 def box_corners_px(detections: Sequence[Detection]) -> list[Array]:
@@ -135,41 +141,25 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
             continue
         plane = _on_panel(fit, ray) + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5 * MARGIN * size
         corners.append(camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel))
-    return _read_views(image, corners, weights)
+    return _read_quadrangles(image, corners, weights)
 
 
-def _read_views(image: Image, corners_px: Sequence[Array], weights: Path) -> list[Read]:
-    logits, twice = view_logits(image, corners_px, weights)
-    temperature = np.where(twice, _temperature("two_views"), _temperature("one_view"))
-    return [_read(each) for each in logits / temperature[:, None]]
+def _read_quadrangles(image: Image, corners_px: Sequence[Array], weights: Path) -> list[Read]:
+    if not corners_px:
+        return []
+    temperature = np.where([is_small(c) for c in corners_px], *temperatures())
+    return [_read(logits) for logits in quadrangle_logits(image, corners_px, weights) / temperature[:, None]]
 
 
-def view_logits(image: Image, corners_px: Sequence[Array], weights: Path = WEIGHTS) -> tuple[Array, BoolArray]:
-    """Return the logits of quadrangles (4, 2) of the picture, NaN where there is none, and which were seen twice.
+def is_small(corners_px: Array) -> bool:
+    """Tell whether a quadrangle (4, 2) of the picture shows a button of less than 20 pixels; True for NaN."""
+    return not _side_px(np.nan_to_num(corners_px)) >= _LARGE_PX * MARGIN
 
-    Large ones are read from closer, too: the wide view shows the symbols and a plate's text whole, the close one a
-    small text in a large cap.
-    """
-    known = [bool(np.isfinite(c).all()) for c in corners_px]
+
+def quadrangle_logits(image: Image, corners_px: Sequence[Array], weights: Path = WEIGHTS) -> Array:
+    """Return the logits of the picture's quadrangles (4, 2), clockwise from the upper left, NaN where there is none."""
     blank = np.zeros((PATCH_PX, PATCH_PX), np.uint8)
-    logits = logits_of([_patch(image, c) if k else blank for c, k in zip(corners_px, known, strict=True)], weights)
-    large = [k and _side_px(c) >= _LEAST_CLOSE_PX * MARGIN for c, k in zip(corners_px, known, strict=True)]
-    twice = np.array(large, dtype=bool)
-    near = [
-        _patch(image, c.mean(axis=0) + _CLOSE * (c - c.mean(axis=0)))
-        for c, k in zip(corners_px, large, strict=True)
-        if k
-    ]
-    if near:
-        logits[twice] = _mean(logits[twice], logits_of(near, weights))
-    return logits, twice
-
-
-def _mean(a: Array, b: Array) -> Array:
-    """Return the logits (N, kinds and slots) of the mean of two views' probabilities."""
-    kinds = np.log(0.5 * (_softmax(a[:, : len(KINDS)]) + _softmax(b[:, : len(KINDS)])))
-    slots = [_softmax(v[:, len(KINDS) :].reshape(len(v), SLOTS, BLANK + 1)) for v in (a, b)]
-    return np.hstack([kinds, np.log(0.5 * (slots[0] + slots[1])).reshape(len(a), -1)])
+    return logits_of([_patch(image, c) if np.isfinite(c).all() else blank for c in corners_px], weights)
 
 
 def _on_panel(fit: FitResult, ray: Array) -> Array:
@@ -216,7 +206,7 @@ def _patch(image: Image, corners_px: Array) -> Image:
     low = np.clip(np.floor(corners_px.min(axis=0)) - 4, 0, [image.shape[1] - 1, image.shape[0] - 1]).astype(int)
     high = np.clip(np.ceil(corners_px.max(axis=0)) + 5, low + 1, [image.shape[1], image.shape[0]]).astype(int)
     part = image[low[1] : high[1], low[0] : high[0]]
-    if factor > 1.6:
+    if factor > SHARPEST:
         part = cv2.GaussianBlur(part, (0, 0), 0.4 * factor)
     shift = np.array([[1, 0, low[0]], [0, 1, low[1]], [0, 0, 1.0]])
     patch: Image = cv2.warpPerspective(part, M @ shift, (PATCH_PX, PATCH_PX), borderMode=cv2.BORDER_REPLICATE)
