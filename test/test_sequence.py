@@ -273,6 +273,13 @@ def test_what_cannot_be_read_says_nothing_and_the_order_fills_it() -> None:
     assert button.label == "6" and button.label_source == "inferred"
 
 
+def test_the_order_does_not_say_what_the_reader_ruled_out() -> None:
+    """A panel may have an order of its own: a clear 2 in the place of the 6 is not taken for the 6."""
+    fit = panel_of({"6": (("2", 0.9), ("3", 0.05))})
+    assert find_button(fit, "6").button is None
+    assert [b.label for b in fit.buttons if b.read == "2"] == ["2", "2"]
+
+
 def test_one_button_that_may_be_open_is_it_and_two_are_asked_about() -> None:
     maybe = (("open", 0.7), ("up", 0.1))
     one = panel_of({"1": maybe, "2": (("close", 0.95),)})

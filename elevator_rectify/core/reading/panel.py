@@ -23,6 +23,8 @@ _SHOWN, _BESIDE = 0.99, 0.99
 # Where a detection lies across it, or beyond the end of a staggered line, there is no cell.
 _NO_CELL = 0.01
 _MOST_PLACES = 400
+# A button is read, if not surely as what, where its labels have this probability together.
+_READABLE = 0.7
 # On so many of 624 real panels is exactly one button of the name. The reader was trained to expect each label on so
 # many of the buttons that it reads.
 _ON_PANELS = {"open": 0.6, "close": 0.56, "alarm": 0.47, "G": 0.27, "call": 0.14, "B1": 0.1, "B": 0.08, "CH": 0.08}
@@ -54,7 +56,20 @@ def read_panel(fit: FitResult) -> Reading:
         floors = floors_of(places, prior)
         nats = _log_odds(1.0 - floors.other) - _log_odds(prior)
     present = _present(fit, places, nats)
-    return Reading(places, present, None if floors is None else _scaled(floors, present, filled), nats, keypad)
+    if floors is not None:
+        floors = _scaled(_considered(floors, places), present, filled)
+    return Reading(places, present, floors, nats, keypad)
+
+
+def _considered(floors: Floors, places: PanelPlaces) -> Floors:
+    """Return the floors without those that a reader, which read something, did not even consider: the order may choose
+    among its readings, and say what it could not read, but a panel may have an order of its own."""
+    floor = floors.floor.copy()
+    for k in range(len(floor)):
+        readings = dict(places.read_at(k))
+        if sum(readings.values()) >= _READABLE:
+            floor[k, [str(n) not in readings for n in floors.numbers]] = 0.0
+    return Floors(floors.numbers, floor, floors.other)
 
 
 def _prior(fit: FitResult, places: PanelPlaces) -> Array:
