@@ -101,7 +101,7 @@ PICTURED: dict[str, Callable[[Pictured, Rng], list[Detection]]] = {
 def _grid(rng: Rng, rows: tuple[int, int] = (3, 8), columns: tuple[int, int] = (2, 6)) -> Array:
     """Return the places (M, 2) of a lattice, in pitches."""
     r, c = int(rng.integers(*rows)), int(rng.integers(*columns))
-    return np.stack(np.meshgrid(np.arange(c), np.arange(r)), axis=-1).reshape(-1, 2).astype(float)
+    return np.asarray(np.stack(np.meshgrid(np.arange(c), np.arange(r)), axis=-1).reshape(-1, 2), dtype=np.float64)
 
 
 def _placed(points: Array, rng: Rng) -> Array:
