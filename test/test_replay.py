@@ -113,6 +113,14 @@ def test_cut_bag_keeps_what_was_read(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "cut" in capsys.readouterr().err
 
 
+def test_a_bag_whose_writing_is_interrupted_is_readable(tmp_path: Path) -> None:
+    (record, *_) = read_bag(PAPER_BAG)
+    with pytest.raises(KeyboardInterrupt), bag_writer(tmp_path / "bag") as bag:
+        bag.write_raw(record.topic, record.kind, record.data, record.time_ns)
+        raise KeyboardInterrupt
+    assert [r.data for r in read_bag(tmp_path / "bag")] == [record.data]
+
+
 def test_what_is_no_bag_is_said(tmp_path: Path) -> None:
     with pytest.raises(BadBag, match="nothing_here"):
         bag_topics(tmp_path / "nothing_here")

@@ -46,13 +46,20 @@ class BagWriter:
 
 @contextmanager
 def bag_writer(path: Path) -> Iterator[BagWriter]:
-    """Open a new mcap bag; raise BadBag where the path is taken."""
+    """Open a new mcap bag; raise BadBag where the path is taken.
+
+    What was written is kept and readable, whatever ends the writing: rosbags itself would drop the bag's metadata.
+    """
     if path.exists():
         raise BadBag(f"{path} exists already")
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with Writer(path, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer = Writer(path, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        writer.open()
+        try:
             yield BagWriter(writer)
+        finally:
+            writer.close()
     except OSError as error:
         raise BadBag(f"{path} cannot be written: {error}") from error
 
