@@ -58,8 +58,7 @@ def _fit(
         if last is not None and previous is not None and not grew(last, previous):
             return last
         fresh = best_attempt(usable, camera, sigma, config, image).result
-        more = last is None or not last.ok or (fresh.ok and fresh.inliers > last.inliers)
-        return fresh if more or last is None else last
+        return last if last is not None and last.ok and not (fresh.ok and fresh.inliers > last.inliers) else fresh
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
 

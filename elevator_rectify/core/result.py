@@ -21,6 +21,7 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import (
     LatticePose,
     covariance_at,
+    in_unit,
     pose_covariance,
     pose_from_homography,
     scale_pose_covariance,
@@ -225,8 +226,6 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
     std = config.scale.column_pitch_std_m if metric else 0.0
     pose, nodes, cells = geometry.pose, geometry.nodes, geometry.cells
     points = pose.camera_points(nodes) * unit
-    lengths = np.ones(len(geometry.covariance))
-    lengths[:3] = unit
     all_cells = np.full((usable.number, 2), -1, dtype=np.int64)
     all_cells[usable.index] = cells
     rays = np.full((usable.number, 2), np.nan)
@@ -240,7 +239,7 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
         t_camera_panel=pose.t * unit,
         pitch=np.array([1.0, pose.aspect]) * unit,
         covariance=scale_pose_covariance(geometry.covariance[:6, :6], pose.t, unit, std),
-        shape_covariance=geometry.covariance * np.outer(lengths, lengths),
+        shape_covariance=in_unit(geometry.covariance, unit),
         scale_std_share=std / unit,
         cells=all_cells,
         rays=rays,

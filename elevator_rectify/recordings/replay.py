@@ -14,7 +14,7 @@ from elevator_rectify.core.config import METHODS, Config, flatten, with_values
 from elevator_rectify.core.view.text_grid import LEGEND, text_grid
 from elevator_rectify.progress import progress
 from elevator_rectify.recordings.report import write_report
-from elevator_rectify.recordings.topics import OUTPUT_PREFIX, STREAM_TYPES, InputTopics, find_topics
+from elevator_rectify.recordings.topics import OUTPUT_PREFIX, STREAM_TYPES, InputTopics, find_topics, recorded_topics
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.bag import (
     BadBag,
@@ -37,19 +37,19 @@ _SINGLE_IMAGES = NodeConfig(track=False)
 
 def paired_frames(records: Iterator[Record], topics: InputTopics, pairing: Pairing) -> Iterator[tuple[Frame, int]]:
     """Feed the records to the pairing as the live node would; yield complete frames and the log time."""
-    adders = {
-        topics.image: pairing.add_image,
-        topics.camera_info: pairing.add_camera_info,
-        topics.detections: pairing.add_detections,
+    streams = {
+        topics.image: ("image", pairing.add_image),
+        topics.camera_info: ("camera_info", pairing.add_camera_info),
+        topics.detections: ("detections", pairing.add_detections),
     }
-    streams = {topics.image: "image", topics.camera_info: "camera_info", topics.detections: "detections"}
     for record in records:
+        stream, add = streams[record.topic]
         try:
             message = record.message
         except Unreadable:
-            pairing.add_unreadable(streams[record.topic])
+            pairing.add_unreadable(stream)
             continue
-        for frame in adders[record.topic](message):
+        for frame in add(message):
             yield frame, record.time_ns
 
 
@@ -162,9 +162,8 @@ def _others(bag: Path, chosen: InputTopics) -> str:
     """Return what else of the right types is there."""
     taken = {chosen.image, chosen.camera_info, chosen.detections}
     kinds = {kind for several in STREAM_TYPES.values() for kind in several}
-    others = [name for name, (kind, _) in sorted(bag_topics(bag).items()) if kind in kinds and name not in taken]
-    shown = [name for name in others if not name.startswith("/truth/")]
-    return f" (there are {', '.join(shown)} too: --image, --camera-info, --detections choose)" if shown else ""
+    others = [name for name, kind in sorted(recorded_topics(bag).items()) if kind in kinds and name not in taken]
+    return f" (there are {', '.join(others)} too: --image, --camera-info, --detections choose)" if others else ""
 
 
 def _free_folder(path: Path) -> Path:

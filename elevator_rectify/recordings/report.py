@@ -17,7 +17,7 @@ from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, Image, IntArray
 from elevator_rectify.core.view.draw import WHITE, caption, outlined_text
 from elevator_rectify.recordings.evaluate import right_cells
-from elevator_rectify.recordings.topics import OUTPUT_PREFIX
+from elevator_rectify.recordings.topics import OUTPUT_PREFIX, STREAM_TYPES
 from elevator_rectify.ros.bag import BadBag, Record, Unreadable, bag_topics, read_bag
 from elevator_rectify.ros.config import DETECTION_TYPES
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, output_stamp_ns, stamp_ns
@@ -26,7 +26,6 @@ from elevator_rectify.ros.pictures import BadMessage, image_from_message
 _TILE = (320, 240)
 # A contact sheet has no more images.
 _MOST_TILES = 60
-_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
 @dataclass
@@ -91,13 +90,15 @@ def read_outcomes(source: Path, output: Path) -> list[Outcome]:
     """Join the input bag and an output bag by stamp, oldest first; pictures are left in the bags."""
     outcomes: dict[int, Outcome] = {}
     kinds = {name: kind for name, (kind, _) in bag_topics(source).items()}
-    for record, message in _messages(source, {name for name, kind in kinds.items() if kind not in _IMAGES}):
+    for record, message in _messages(
+        source, {name for name, kind in kinds.items() if kind not in STREAM_TYPES["image"]}
+    ):
         header = message if record.kind == "std_msgs/msg/Header" else getattr(message, "header", None)
         if header is None:
             continue
         outcome = outcomes.setdefault(stamp_ns(header), Outcome(stamp_ns(header)))
         _take_input(outcome, record.topic, kinds[record.topic], message)
-    topics = {name for name, (kind, _) in bag_topics(output).items() if kind not in _IMAGES}
+    topics = {name for name, (kind, _) in bag_topics(output).items() if kind not in STREAM_TYPES["image"]}
     for record, message in _messages(output, topics):
         stamp = output_stamp_ns(message)
         if stamp in outcomes:

@@ -55,11 +55,7 @@ def find_topics(
 
     usable: tells which types may be chosen, such as those that are installed.
     """
-    topics = {
-        name: kind
-        for name, (kind, _) in bag_topics(path).items()
-        if not name.startswith(_TRUTH_PREFIX) and OUTPUT_PREFIX not in name
-    }
+    topics = recorded_topics(path)
     candidates = {stream: _candidates(path, stream, topics, given.get(stream), usable) for stream in STREAM_TYPES}
     if all(len(names) == 1 for names in candidates.values()):
         return InputTopics(**{stream: names[0] for stream, names in candidates.items()})
@@ -68,6 +64,15 @@ def find_topics(
     image, detections = max(pairs, key=lambda pair: _pair_rank(pair, samples))
     info = max(candidates["camera_info"], key=lambda name: _info_rank(name, image, samples))
     return InputTopics(image, info, detections)
+
+
+def recorded_topics(path: Path) -> dict[str, str]:
+    """Return {topic: type} of what may be an input: neither the truth nor the node's own outputs."""
+    return {
+        name: kind
+        for name, (kind, _) in bag_topics(path).items()
+        if not name.startswith(_TRUTH_PREFIX) and OUTPUT_PREFIX not in name
+    }
 
 
 def _candidates(

@@ -188,9 +188,7 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
     if frame.detections is not None:
         _check_frame("detections", frame.detections, ours)
         detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
-    if frame.depth is None and node.use_depth:
-        return Inputs(image, camera, detections, "no depth image has the image's stamp: see pairing.tolerance_s")
-    return Inputs(image, camera, detections, _depth(frame.depth, ours))
+    return Inputs(image, camera, detections, _depth(frame.depth, ours, node.use_depth))
 
 
 def _check_size(info: Any, size: tuple[int, int] | None) -> None:
@@ -208,12 +206,13 @@ def _check_frame(topic: str, message: Any, ours: str) -> None:
         raise BadMessage(topic, "header.frame_id", repr(theirs), f"is not the image's {ours!r}")
 
 
-def _depth(message: Any, ours: str) -> Array | str | None:
+def _depth(message: Any, ours: str, wanted: bool) -> Array | str | None:
     """Return the depth in metres, or what is wrong with it: the orientation can be had without."""
+    if message is None:
+        return "no depth image has the image's stamp: see pairing.tolerance_s" if wanted else None
     try:
-        if message is not None:
-            _check_frame("depth", message, ours)
-        return None if message is None else depth_from_message(message)
+        _check_frame("depth", message, ours)
+        return depth_from_message(message)
     except BadMessage as error:
         return str(error)
 

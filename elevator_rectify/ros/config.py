@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from elevator_rectify.core.config import Checked, value
+from elevator_rectify.ros.pictures import MAX_MEGAPIXELS
 
 DETECTION_TYPES = {
     "pose_array": "geometry_msgs/msg/PoseArray",
@@ -48,7 +49,9 @@ class NodeConfig(Checked):
     """What concerns the node only; read when it starts."""
 
     image_transport: str = value("raw", "how images arrive", choices=("raw", "compressed"))
-    max_megapixels: int = value(100, "compressed images that announce more are not decoded", low=1, high=1000)
+    max_megapixels: int = value(
+        MAX_MEGAPIXELS, "compressed images that announce more are not decoded", low=1, high=1000
+    )
     image_is_rectified: bool = value(False, "the image is rectified: camera_info's P is used instead of K and D")
     measure: bool = value(True, "measure the buttons in the image: several times as accurate as the boxes alone")
     use_depth: bool = value(False, "subscribe to an aligned depth image for the metric scale")

@@ -40,7 +40,8 @@ class Encoding:
 
 
 # More pixels than any camera on a robot has.
-MAX_PIXELS = 100_000_000
+MAX_MEGAPIXELS = 100
+MAX_PIXELS = MAX_MEGAPIXELS * 1_000_000
 # Markers of the segments that hold a JPEG's size (ITU T.81, table B.1).
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # OpenCV names a Bayer pattern by its second row and column, ROS by its first.

@@ -29,7 +29,7 @@ def run_node(make: Callable[[], Any], args: list[str] | None) -> int:
     # The handlers are ours, so that the node can still log and leave the graph when a signal comes.
     try:
         rclpy.init(args=args, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    except (RuntimeError, rclpy.exceptions.ROSInterruptException) as error:
+    except RuntimeError as error:
         return _refused(error)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)

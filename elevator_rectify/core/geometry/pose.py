@@ -89,10 +89,16 @@ def scale_pose_covariance(covariance: Array, t: Array, pitch: float, pitch_std: 
     """
     if not np.isfinite(covariance).all():
         return covariance
-    scale = np.diag([pitch, pitch, pitch, 1.0, 1.0, 1.0])
-    scaled = scale @ covariance @ scale
+    scaled = in_unit(covariance, pitch)
     scaled[:3, :3] += pitch_std**2 * np.outer(t, t)
-    return np.asarray(scaled)
+    return scaled
+
+
+def in_unit(covariance: Array, pitch: float) -> Array:
+    """Return the covariance (6 + S, 6 + S) of (t, rotation, shape) with lengths multiplied by the column pitch."""
+    lengths = np.ones(len(covariance))
+    lengths[:3] = pitch
+    return np.asarray(covariance * np.outer(lengths, lengths))
 
 
 def covariance_at(fit: FitResult, panel: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from elevator_rectify.core.config import ScaleConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.geometry.pose import scale_pose_covariance
+from elevator_rectify.core.geometry.pose import in_unit, scale_pose_covariance
 from elevator_rectify.core.types import Array, FitResult, FitT
 
 # Places across the grid, per axis, at which the depth is read.
@@ -89,8 +89,6 @@ def with_scale(fit: FitT, camera: Camera, depth_m: Array, config: ScaleConfig) -
 def scaled(fit: FitT, metres: float, std: float) -> FitT:
     """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
     seen = fit.measurement
-    lengths = np.ones(len(fit.shape_covariance))
-    lengths[:3] = metres
     return replace(
         fit,
         measurement=None if seen is None else replace(seen, half_size=seen.half_size * metres),
@@ -98,7 +96,7 @@ def scaled(fit: FitT, metres: float, std: float) -> FitT:
         t_camera_panel=fit.t_camera_panel * metres,
         pitch=fit.pitch * metres,
         covariance=scale_pose_covariance(fit.covariance, fit.t_camera_panel, metres, std),
-        shape_covariance=fit.shape_covariance * np.outer(lengths, lengths),
+        shape_covariance=in_unit(fit.shape_covariance, metres),
         scale_std_share=std / metres,
         grid_panel=fit.grid_panel * metres,
         grid_points=fit.grid_points * metres,

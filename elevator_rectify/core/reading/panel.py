@@ -64,11 +64,11 @@ def read_panel(fit: FitResult) -> Reading:
 def _considered(floors: Floors, places: PanelPlaces) -> Floors:
     """Return the floors without those that a reader, which read something, did not even consider: the order may choose
     among its readings, and say what it could not read, but a panel may have an order of its own."""
-    floor = floors.floor.copy()
+    floor, names = floors.floor.copy(), [str(n) for n in floors.numbers]
     for k in range(len(floor)):
         readings = dict(places.read_at(k))
         if sum(readings.values()) >= _READABLE:
-            floor[k, [str(n) not in readings for n in floors.numbers]] = 0.0
+            floor[k, [name not in readings for name in names]] = 0.0
     return Floors(floors.numbers, floor, floors.other)
 
 
@@ -115,14 +115,20 @@ def _log_odds(probability: Array) -> Array:
 
 def as_read(reading: Reading) -> Array:
     """Return (K,) the probability that each place's label is right as it was read, 0 where none was."""
-    places, floors = reading.places, reading.floors
-    value = np.zeros(len(places.label))
-    for k, label in enumerate(places.label):
-        if label and floors is not None and is_number(label) and floors.numbers[0] <= int(label) <= floors.numbers[-1]:
-            value[k] = floors.floor[k, int(label) - floors.numbers[0]]
-        elif label:
-            value[k] = _named(reading, label)[k]
+    labels = np.array(reading.places.label)
+    value = np.zeros(len(labels))
+    for label in set(reading.places.label) - {""}:
+        floor = _of_floor(reading, label)
+        value[labels == label] = (_named(reading, label) if floor is None else floor)[labels == label]
     return value
+
+
+def _of_floor(reading: Reading, name: str) -> Array | None:
+    """Return (K,) the probability that each place is the floor `name`, None where it is none that was considered."""
+    floors = reading.floors
+    if floors is None or not is_number(name) or not floors.numbers[0] <= int(name) <= floors.numbers[-1]:
+        return None
+    return np.asarray(floors.floor[:, int(name) - floors.numbers[0]])
 
 
 def _named(reading: Reading, name: str) -> Array:
@@ -159,8 +165,5 @@ def _alone(reading: Reading, k: int, name: str) -> float:
 
 def probability_of(reading: Reading, name: str) -> Array:
     """Return (K,) the probability that each place's button is labelled `name`."""
-    floors = reading.floors
-    matches = np.array([str(n) == name for n in floors.numbers]) if floors is not None else np.zeros(0, dtype=bool)
-    if floors is not None and matches.any():
-        return np.asarray(floors.floor[:, matches][:, 0])
-    return np.asarray(_named(reading, name) * reading.present)
+    floor = _of_floor(reading, name)
+    return np.asarray(_named(reading, name) * reading.present) if floor is None else floor

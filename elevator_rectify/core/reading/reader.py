@@ -145,8 +145,6 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
 
 
 def _read_quadrangles(image: Image, corners_px: Sequence[Array], weights: Path) -> list[Read]:
-    if not corners_px:
-        return []
     temperature = np.where([is_small(c) for c in corners_px], *temperatures())
     return [_read(logits) for logits in quadrangle_logits(image, corners_px, weights) / temperature[:, None]]
 
