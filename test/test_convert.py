@@ -318,6 +318,8 @@ def test_several_hypotheses_are_a_distribution_where_their_scores_can_be_one() -
     several = replace(message, detections=[replace(item, results=results)])
     (found,) = detections_from_message(several)
     assert found.label == "B1" and found.readings == (("B1", 0.6), ("B7", 0.3))
+    (resized,) = detections_from_message(several, DetectionsConfig(image_width_px=320), (640, 480))
+    assert resized.x_px == 2.0 and resized.readings == found.readings
     second = replace(second, score=0.9)
     results = [*item.results, replace(item.results[0], hypothesis=second)]
     (found,) = detections_from_message(replace(message, detections=[replace(item, results=results)]))

@@ -118,7 +118,9 @@ def detections_from_message(
     y = size[1] / config.image_height_px if size and config.image_height_px else 1.0
     if x == 1.0 and y == 1.0:
         return found
-    return [Detection(d.x_px * x, d.y_px * y, d.width_px * x, d.height_px * y, d.label, d.score) for d in found]
+    return [
+        replace(d, x_px=d.x_px * x, y_px=d.y_px * y, width_px=d.width_px * x, height_px=d.height_px * y) for d in found
+    ]
 
 
 def class_labels(text: str) -> dict[str, str]:
@@ -150,13 +152,14 @@ def _named(item: Any) -> tuple[str, str, float]:
     """Return the class name, the class id and the score of a detection's best hypothesis."""
     if not hasattr(item, "results"):
         return str(item.class_name), str(item.class_id), float(item.score)
-    # vision_msgs of Foxy has no hypothesis of its own, and calls the class id.
-    given = (getattr(r, "hypothesis", r) for r in item.results)
-    best = max(given, key=lambda h: np.nan_to_num(h.score, nan=-1.0), default=None)
-    if best is None:
-        return "", "", 1.0
-    name = str(best.class_id if hasattr(best, "class_id") else best.id)
-    return name, name, float(best.score)
+    name, score = max(_hypotheses(item), key=lambda h: np.nan_to_num(h[1], nan=-1.0), default=("", 1.0))
+    return name, name, score
+
+
+def _hypotheses(item: Any) -> list[tuple[str, float]]:
+    """Return class and score of a vision_msgs detection's hypotheses; Foxy's has them bare, and calls the class id."""
+    given = [getattr(r, "hypothesis", r) for r in getattr(item, "results", ())]
+    return [(str(h.class_id if hasattr(h, "class_id") else h.id), float(h.score)) for h in given]
 
 
 def _detection(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> Detection:
@@ -179,13 +182,10 @@ def _detection(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> D
 
 def _readings(item: Any, labels: dict[str, str], numbers_are_labels: bool) -> tuple[tuple[str, float], ...]:
     """Return the labels of several hypotheses with their scores, where these can be probabilities."""
-    given = [getattr(r, "hypothesis", r) for r in getattr(item, "results", ())]
+    given = _hypotheses(item)
     if len(given) < 2:
         return ()
-    names = [str(h.class_id if hasattr(h, "class_id") else h.id) for h in given]
-    found = [
-        (_label(name, name, labels, numbers_are_labels), float(h.score)) for name, h in zip(names, given, strict=True)
-    ]
+    found = [(_label(name, name, labels, numbers_are_labels), score) for name, score in given]
     found = [(label, p) for label, p in found if label and label.lower() not in UNREAD]
     probabilities = np.array([p for _, p in found])
     if not len(found) or not (probabilities >= 0.0).all() or probabilities.sum() > _MOST_IN_ALL:
