@@ -11,6 +11,7 @@ from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.pictures import pictured
 from elevator_rectify.benchmark.sequences import KINDS, run_sequence, scenes, sequence_table
 from elevator_rectify.core import Config, Detection, ScaleConfig, fit_panel
+from elevator_rectify.core.attempts import grew
 from elevator_rectify.core.config import SmoothingConfig
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.reading.grid_fit import GridFit
@@ -44,6 +45,20 @@ def test_rows_that_come_into_view_are_added() -> None:
     assert part.ok and part.rows == fit.rows - 1
     whole = fit_panel(grid_detections(fit, slice(0, None)), camera, previous=part)
     assert whole.ok and whole.rows == fit.rows and (whole.cells >= 0).all()
+
+
+def test_a_stray_detection_is_searched_for_a_row_once() -> None:
+    """A search in every frame would take five times a tracked frame's time for as long as the stray stays."""
+    fit, camera = full_grid()
+    below = 2.0 * fit.grid_px[-1] - fit.grid_px[-2]
+
+    def with_stray(centre_px: Array) -> GridFit:
+        ray = camera.rays(centre_px[None])
+        return replace(fit, cells=np.vstack([fit.cells, [[-1, -1]]]), rays=np.vstack([fit.rays, ray]))
+
+    first, second = with_stray(below[0]), with_stray(below[1])
+    assert grew(first, fit) and grew(second, first)
+    assert not grew(first, first) and not grew(fit, first)
 
 
 def test_a_block_that_is_seen_no_more_is_forgotten() -> None:

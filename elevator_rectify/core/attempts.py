@@ -24,9 +24,9 @@ _QUICK = 0.125
 _MANY = 30
 # A fit that is accepted, but no surer than this, is worth the last search too.
 _SURE = 0.9
-# So many more unexplained detections than in the frame before, or one that is so near to the next line, in pitches, may
-# be of a row that came into view.
-_NEWCOMERS, _ON_LINE = 2, 0.2
+# So many more unexplained detections than in the frame before, or a new one that is so near to the next line, in
+# pitches, may be of a row that came into view; it is not new where the frame before had one so near.
+_NEWCOMERS, _ON_LINE, _SAME_PLACE = 2, 0.2, 0.3
 # A button over the pitch, where its box has no size.
 _USUAL_SIZE = 0.6
 
@@ -122,18 +122,28 @@ def tracked(
 
 
 def grew(fit: FitResult, previous: FitResult) -> bool:
-    """Tell whether a row or column may have come into view: detections where the next one would be, or many more that
-    the lattice leaves out."""
-    out = (fit.cells[:, 0] < 0) & np.isfinite(fit.rays).all(axis=1)
-    if out.sum() >= len(previous.cells) - previous.inliers + _NEWCOMERS:
+    """Tell whether a row or column may have come into view: new detections where the next one would be, or many more
+    that the lattice leaves out."""
+    place = _left_out(fit)
+    if len(place) >= len(previous.cells) - previous.inliers + _NEWCOMERS:
         return True
-    panel, depth = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[out])
-    row, row_half, row_beyond = _from_lines(panel[:, 1] / fit.pitch[1], fit.row_positions)
-    column, column_half, column_beyond = _from_lines(panel[:, 0] / fit.pitch[0], fit.column_positions)
+    known = _left_out(previous)
+    new = np.linalg.norm(place[:, None] - known[None], axis=2).min(axis=1, initial=np.inf) > _SAME_PLACE
+    place = place[new]
+    row, row_half, row_beyond = _from_lines(place[:, 1], fit.row_positions)
+    column, column_half, column_beyond = _from_lines(place[:, 0], fit.column_positions)
     # The next row or column may be half a pitch aside.
     next_row = row_beyond & (row < _ON_LINE) & (np.minimum(column, column_half) < _ON_LINE)
     next_column = column_beyond & (column < _ON_LINE) & (np.minimum(row, row_half) < _ON_LINE)
-    return bool(((next_row | next_column) & (depth > 0)).any())
+    return bool((next_row | next_column).any())
+
+
+def _left_out(fit: FitResult) -> Array:
+    """Return where on the panel, in pitches (N, 2), the detections are that the lattice leaves out."""
+    out = (fit.cells[:, 0] < 0) & np.isfinite(fit.rays).all(axis=1)
+    panel, depth = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[out])
+    seen = np.isfinite(panel).all(axis=1) & (depth > 0)
+    return panel[seen] / fit.pitch
 
 
 def _from_lines(place: Array, lines: Array) -> tuple[Array, Array, BoolArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,8 @@ from elevator_rectify.ros.convert import output_stamp_ns
 from elevator_rectify.ros.messages import ros_type
 
 _START_SECONDS, _SETTLE_SECONDS = 60.0, 2.0
+# A node that is behind catches up with what waits, eight frames at most, in less.
+_LAST_SECONDS = 20.0
 _INPUTS = {
     "image": "sensor_msgs/msg/Image",
     "camera_info": "sensor_msgs/msg/CameraInfo",
@@ -114,6 +116,12 @@ class Driver:
         end = time.perf_counter() + seconds
         while (left := end - time.perf_counter()) > 0:
             self._executor.spin_once(timeout_sec=left)
+
+    def catch_up(self, topic: str, stamps: Collection[int]) -> None:
+        """Take what arrives until all stamps are answered on the topic, or nothing more can be expected."""
+        end = time.perf_counter() + _LAST_SECONDS
+        while not self.answers.arrived[topic].keys() >= set(stamps) and time.perf_counter() < end:
+            self.spin(0.1)
 
     def close(self) -> None:
         """Leave the graph."""

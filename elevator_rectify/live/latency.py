@@ -55,10 +55,12 @@ def measure(name: str, frames: Frames, number: int, rate: float, domain: int) ->
                 sent[stamp] = driver.send(frames.messages(k, stamp))
                 driver.spin(begin + (k + 1) / rate - time.perf_counter())
             seconds, cpu = time.perf_counter() - begin, cpu_seconds(pid) - begin_cpu
-            driver.spin(1.0)
+            # The status comes last.
+            last = answer if name == "relay" else _N + "status"
+            driver.catch_up(last, sent)
     finally:
         driver.close()
-    arrived = driver.answers.arrived[answer if name == "relay" else _N + "status"]
+    arrived = driver.answers.arrived[last]
     times = driver.answers.arrived[answer]
     latency = np.array([1e3 * (times[stamp] - begin) for stamp, begin in sent.items() if stamp in times])
     return Row(sum(stamp in arrived for stamp in sent) / number, latency, cpu / seconds)

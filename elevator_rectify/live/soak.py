@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
                     tenth = dict(list(sent.items())[-(options.frames // _ROWS) :])
                     print(_row(k + 1, memory[-1], driver, tenth, time.perf_counter() - at), flush=True)
                     at = time.perf_counter()
-            driver.spin(1.0)
+            driver.catch_up(_STATUS, sent)
     finally:
         driver.close()
     answered = sum(stamp in driver.answers.arrived[_STATUS] for stamp in sent)
