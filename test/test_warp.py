@@ -61,6 +61,17 @@ def test_best_seen_side_keeps_its_resolution_and_the_size_is_bounded() -> None:
     assert max(small.image.shape) == 100
 
 
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_no_more_pixels_come_out_than_went_in(share: float) -> None:
+    truth = scene(6, tilt_deg=55.0)
+    fit = fit_panel(truth.centres_px, truth.camera)
+    view = rectify_image(np.zeros((480, 640), np.uint8), truth.camera, fit, ViewConfig(max_share=share))
+    # Each side is rounded to whole pixels.
+    assert view.image.size <= share * 480 * 640 * 1.01
+    free = rectify_image(np.zeros((480, 640), np.uint8), truth.camera, fit, ViewConfig(max_share=100.0))
+    assert free.image.size > 480 * 640, "the scene asks for more"
+
+
 def test_unfitted_or_mismatched_input_is_an_exception() -> None:
     truth = scene(5)
     fit = fit_panel(truth.centres_px, truth.camera)

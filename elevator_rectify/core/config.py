@@ -268,6 +268,7 @@ class ViewConfig(Checked):
 
     margin_pitch: float = value(1.0, "margin around the outer buttons' centres, in pitches", low=0.0, high=20.0)
     max_size_px: int = value(1280, "largest width or height of the rectified image", low=16, high=16384)
+    max_share: float = value(1.0, "most pixels of the rectified image, over the input's", low=0.01, high=100.0)
 
 
 @dataclass(frozen=True)
