@@ -286,3 +286,25 @@ def test_damaged_copies_of_a_bag_are_answered_or_refused_in_one_line(
         code = replay.main([str(copy), "--output", str(tmp_path / f"out_{number}")])
         err = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("replay joint [")]
         assert code in (0, 1, 2) and len(err) <= 1, err
+
+
+def test_two_workers_write_what_one_does(tmp_path: Path) -> None:
+    for name, workers in (("one", "1"), ("two", "2")):
+        arguments = [str(PAPER_BAG), "--output", str(tmp_path / name), "--method", "paper", "--workers", workers]
+        assert replay.main(arguments) == 0
+    # The status holds the times that the stages took.
+    topics = {OUTPUT_PREFIX + topic for topic in TOPICS if topic != "status"}
+    one, two = (
+        [(r.topic, r.time_ns, r.data) for r in read_bag(tmp_path / n / "paper", topics)] for n in ("one", "two")
+    )
+    assert len(one) > 25 and one == two
+
+
+def test_several_bags_have_a_folder_each_and_a_bad_one_stops_nothing(tmp_path: Path) -> None:
+    copy = shutil.copytree(PAPER_BAG, tmp_path / "copy")
+    bags = [str(tmp_path / "none"), str(PAPER_BAG), str(copy)]
+    assert replay.main([*bags, "--output", str(tmp_path / "out"), "--method", "paper", "--workers", "2"]) == 2
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"paper_5x5", "copy"}
+    assert bag_topics(tmp_path / "out" / "copy" / "paper")[OUTPUT_PREFIX + "status"][1] == 25
+    with pytest.raises(SystemExit):
+        replay.main([str(copy), "--workers", "-1"])

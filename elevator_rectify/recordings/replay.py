@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -11,84 +12,60 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from elevator_rectify.core.config import METHODS, Config, flatten, with_values
-from elevator_rectify.core.view.text_grid import LEGEND, text_grid
+from elevator_rectify.core.view.text_grid import LEGEND
 from elevator_rectify.progress import progress
+from elevator_rectify.recordings.answering import Answered, Ended, answers
 from elevator_rectify.recordings.report import write_report
 from elevator_rectify.recordings.topics import OUTPUT_PREFIX, STREAM_TYPES, InputTopics, find_topics, recorded_topics
-from elevator_rectify.ros.answer import Answer, answer_frame
-from elevator_rectify.ros.bag import (
-    BadBag,
-    BagWriter,
-    Record,
-    Unreadable,
-    bag_topics,
-    bag_writer,
-    make_bag_message,
-    read_bag,
-)
-from elevator_rectify.ros.config import NodeConfig, PairingConfig
-from elevator_rectify.ros.convert import stamp_ns
-from elevator_rectify.ros.output import TOPICS, output_messages
-from elevator_rectify.ros.pairing import Frame, Pairing
+from elevator_rectify.ros.bag import BadBag, bag_topics, bag_writer
+from elevator_rectify.ros.output import TOPICS
 
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
-_SINGLE_IMAGES = NodeConfig(track=False)
+_MOST_WORKERS, _INTERRUPTED = 64, 130
 
 
-def paired_frames(records: Iterator[Record], topics: InputTopics, pairing: Pairing) -> Iterator[tuple[Frame, int]]:
-    """Feed the records to the pairing as the live node would; yield complete frames and the log time."""
-    streams = {
-        topics.image: ("image", pairing.add_image),
-        topics.camera_info: ("camera_info", pairing.add_camera_info),
-        topics.detections: ("detections", pairing.add_detections),
-    }
-    for record in records:
-        stream, add = streams[record.topic]
-        try:
-            message = record.message
-        except Unreadable:
-            pairing.add_unreadable(stream)
-            continue
-        for frame in add(message):
-            yield frame, record.time_ns
-
-
-def replay(path: Path, output: Path, topics: InputTopics, config: Config, grids: TextIO | None = None) -> Counter[str]:
+def replay(
+    path: Path, output: Path, topics: InputTopics, config: Config, grids: TextIO | None = None, workers: int = 1
+) -> Counter[str]:
     """Answer every frame of the bag into a new bag; return the counts of statuses and drops.
 
     grids: where the accepted panels are written as text, each under its image's stamp in ns.
-
     Raises BadBag where the input breaks off; all answers until there are written.
     """
-    wanted = {topics.image, topics.camera_info, topics.detections}
     number = sum(count for name, (_, count) in bag_topics(path).items() if name == topics.detections)
-    pairing, counts = Pairing(PairingConfig()), Counter[str]()
+    counts = Counter[str]()
     try:
         with bag_writer(output) as bag:
-            frames = paired_frames(read_bag(path, wanted), topics, pairing)
-            for frame, time_ns in progress(frames, f"replay {config.method}", number):
-                answer = _answer_into(bag, frame, config, time_ns)
-                counts[answer.fit.status] += 1
-                if grids is not None and answer.fit.ok:
-                    print(f"{stamp_ns(answer.header)}\n{text_grid(answer.buttons)}\n", file=grids)
+            frames = _frames(answers(path, topics, config, workers), counts)
+            for frame in progress(frames, f"replay {config.method}", number):
+                for topic, data in frame.messages.items():
+                    bag.write_raw(OUTPUT_PREFIX + topic, TOPICS[topic], data, frame.time_ns)
+                if grids is not None and frame.grid:
+                    print(f"{frame.stamp_ns}\n{frame.grid}\n", file=grids)
     finally:
-        counts += pairing.dropped + pairing.waiting()
         print(f"{config.method}: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
     return counts
 
 
-def _answer_into(bag: BagWriter, frame: Frame, config: Config, time_ns: int) -> Answer:
-    """Write everything that the node would publish for the frame; return the answer."""
-    answer, _ = answer_frame(frame, config, node=_SINGLE_IMAGES)
-    for topic, message in output_messages(answer, make_bag_message, TOPICS.__contains__):
-        bag.write(OUTPUT_PREFIX + topic, TOPICS[topic], message, time_ns)
-    return answer
+def _frames(steps: Iterator[Answered | Ended], counts: Counter[str]) -> Iterator[Answered]:
+    """Yield the answered frames; count them and what was dropped. Raises BadBag where the bag breaks off."""
+    for step in steps:
+        if isinstance(step, Answered):
+            counts[step.status] += 1
+            yield step
+            continue
+        counts.update(step.dropped)
+        if step.broken:
+            raise BadBag(step.broken)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="replay", description=__doc__)
-    parser.add_argument("bag", type=Path, help="folder of the bag")
+    parser.add_argument(
+        "bag", type=Path, nargs="+", help="folder of a bag; each of several has its own folder of results"
+    )
     parser.add_argument("--output", type=Path, default=Path("out/replay"), help="folder for bags, pictures and table")
+    parser.add_argument("--workers", type=_workers, default=1, help="processes that answer, 0: one a core")
     parser.add_argument("--method", default=Config().method, help=f"one or several of {','.join(METHODS)}")
     parser.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="a parameter, e.g. scale.column_pitch_m=0.045"
@@ -122,39 +99,56 @@ def _value(path: str, text: str, kind: Any) -> Any:
         raise ValueError(f"{path} must be {kind.__name__}, not '{text}'") from error
 
 
+def _workers(text: str) -> int:
+    """Return the number of processes. Raises ArgumentTypeError."""
+    if not text.isdigit() or int(text) > _MOST_WORKERS:
+        raise argparse.ArgumentTypeError(f"must be a number from 0 to {_MOST_WORKERS}, not '{text}'")
+    return int(text) or os.cpu_count() or 1
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Command line: 0 when the whole bag was replayed, 1 when it broke off, 2 for what cannot be replayed."""
+    """Command line: 0 when all bags were replayed, 1 when one broke off, 2 for what cannot be replayed."""
     options = _parser().parse_args(arguments)
     try:
-        methods = options.method.split(",")
-        configs = {method: replace(_config(options.set), method=method) for method in methods}
-        topics = find_topics(options.bag, {stream: getattr(options, stream) for stream in STREAM_TYPES})
+        configs = {m: replace(_config(options.set), method=m) for m in options.method.split(",")}
     except ValueError as error:
         print(f"replay: {error}", file=sys.stderr)
         return 2
-    print(f"topics:   {topics.image}, {topics.camera_info}, {topics.detections}{_others(options.bag, topics)}")
+    worst = 0
+    for bag in options.bag:
+        output = options.output if len(options.bag) == 1 else options.output / bag.resolve().name
+        worst = max(worst, _replay_bag(bag, output, configs, options))
+        if worst == _INTERRUPTED:
+            break
+    return worst
+
+
+def _replay_bag(bag: Path, output: Path, configs: dict[str, Config], options: argparse.Namespace) -> int:
+    """Replay one bag by all methods and write its report; return the exit code."""
+    try:
+        topics = find_topics(bag, {stream: getattr(options, stream) for stream in STREAM_TYPES})
+    except ValueError as error:
+        print(f"replay: {error}", file=sys.stderr)
+        return 2
+    print(f"topics:   {topics.image}, {topics.camera_info}, {topics.detections}{_others(bag, topics)}")
     code, outputs = 0, {}
     for method, config in configs.items():
-        outputs[method] = _free_folder(options.output / method)
-        options.output.mkdir(parents=True, exist_ok=True)
+        outputs[method] = _free_folder(output / method)
+        output.mkdir(parents=True, exist_ok=True)
         try:
-            with (options.output / f"panels_{method}.txt").open("w") as grids:
+            with (output / f"panels_{method}.txt").open("w") as grids:
                 print(LEGEND + "\n", file=grids)
-                replay(options.bag, outputs[method], topics, config, grids)
-            print(f"panels:   {options.output / f'panels_{method}.txt'}")
+                replay(bag, outputs[method], topics, config, grids, options.workers)
+            print(f"panels:   {output / f'panels_{method}.txt'}")
         except BadBag as error:
             print(f"replay: {error}", file=sys.stderr)
             code = 1
         except KeyboardInterrupt:
             print("replay: interrupted, what was answered until then is written", file=sys.stderr)
-            code = 130
+            code = _INTERRUPTED
             break
     # Nothing is written where nothing could be read.
-    write_report(
-        options.bag,
-        {method: path for method, path in outputs.items() if (path / "metadata.yaml").exists()},
-        options.output,
-    )
+    write_report(bag, {method: path for method, path in outputs.items() if (path / "metadata.yaml").exists()}, output)
     return code
 
 
