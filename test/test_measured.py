@@ -12,6 +12,7 @@ from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_ra
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit
 from elevator_rectify.core.lattice.refinement import Poses
 from elevator_rectify.core.picture.patches import Window, picture_of, sample
+from elevator_rectify.core.picture.straight_edges import Segments, uprightness
 from elevator_rectify.core.picture.template import align, make_template, symmetry_centre
 from elevator_rectify.core.picture.widening import _Side, _wider
 from elevator_rectify.core.reading.grid_fit import GridFit
@@ -197,3 +198,39 @@ def test_a_panel_that_is_turned_is_found_turned_by_as_much() -> None:
     expected = fit.R_camera_panel @ rotation(np.array([0.0, np.deg2rad(30.0), 0.0]))
     # Caps that stand out of the plate do not turn with a plane's map.
     assert again.ok and np.rad2deg(rotation_angle_rad(expected.T @ again.R_camera_panel)) < 1.5
+
+
+def _edges(R: Array, rng: np.random.Generator, number: int = 30) -> Segments:
+    """Return edges along the axes of a panel, seen anywhere."""
+    direction = R[:, rng.integers(0, 2, number)].T
+    normal = np.cross(direction, rng.normal([0.0, 0.0, 1.0], 0.2, (number, 3)))
+    return Segments(normal / np.linalg.norm(normal, axis=1, keepdims=True), np.full(number, np.deg2rad(0.5)))
+
+
+def test_edges_along_the_panel_speak_for_its_pose_and_against_a_turned_one() -> None:
+    rng = np.random.default_rng(4)
+    right, covariance = rotation(np.array([0.2, -0.3, 0.05])), np.eye(3) * np.deg2rad(1.0) ** 2
+    edges = _edges(right, rng)
+    share, turned_by, left = uprightness(edges, right, covariance)
+    assert share == 1.0 and turned_by < 1e-6 and left < np.log(np.deg2rad(1.0))
+    wrong = rotation(np.array([0.0, 0.0, np.deg2rad(5.0)])) @ right
+    assert uprightness(edges, wrong, covariance)[0] < 0.1
+    near = rotation(np.array([0.0, 0.0, np.deg2rad(1.0)])) @ right
+    # The edges are several times as exact as the pose was: they take nearly all of the error of one deviation away.
+    assert 0.8 < uprightness(edges, near, covariance)[1] < 1.05
+    turned_round = Segments(edges.normal[::-1], edges.std_rad[::-1])
+    np.testing.assert_allclose(uprightness(turned_round, near, covariance), uprightness(edges, near, covariance))
+
+
+def test_without_edges_nothing_is_said_for_or_against() -> None:
+    none = Segments(np.zeros((0, 3)), np.zeros(0))
+    np.testing.assert_allclose(uprightness(none, np.eye(3), np.eye(3) * 0.01), [0.0, 0.0, np.log(0.1)])
+
+
+def test_what_the_edges_said_stays_with_a_tracked_panel() -> None:
+    given = pictured("easy", 502, 1)
+    first = fit_panel(given.scene.detections, given.scene.camera, image=given.image)
+    second = fit_panel(given.scene.detections, given.scene.camera, previous=first, image=given.image)
+    assert first.measurement is not None and second.measurement is not None
+    assert np.isfinite(first.measurement.uprightness).all()
+    np.testing.assert_array_equal(second.measurement.uprightness, first.measurement.uprightness)

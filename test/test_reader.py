@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import given as examples
 from hypothesis import strategies as st
 
 from elevator_rectify.benchmark.pictures import pictured
-from elevator_rectify.core import Config, Detection, find_panel, fit_panel
+from elevator_rectify.core import Config, Detection, TargetConfig, find_button, find_panel, fit_panel
 from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.reading.reader import (
     PATCH_PX,
@@ -128,3 +130,25 @@ def test_missing_places_are_allowed_and_small_buttons_told_from_large_ones() -> 
     assert [is_small(c) for c in corners] == [False, True, True]
     assert np.isfinite(quadrangle_logits(image, corners)).all()
     assert len(quadrangle_logits(image, [])) == 0 and read_boxes(image, []) == []
+
+
+def test_buttons_that_nobody_detected_are_read_where_the_picture_shows_them() -> None:
+    given = pictured("easy", 60, 4, held_out=True)
+    scene = given.scene
+    unread = [replace(d, label="") for d in scene.detections]
+    camera = scene.camera
+    full = with_labels(fit_panel(unread, camera, image=given.image), given.image, camera)
+    kept = [d for k, d in enumerate(unread) if k % 5 != 2]
+    fit = with_labels(fit_panel(kept, camera, image=given.image), given.image, camera)
+    known = {(b.row, b.column): b.label for b in full.buttons if b.row >= 0}
+    assert full.ok and fit.ok and not full.undetected
+    assert len(fit.undetected) == len(unread) - len(kept) > 0
+    for cell, button in fit.undetected.items():
+        assert button.label == known[cell] and button.width_px > 0
+    inferred = [b for b in fit.buttons if b.state == "inferred"]
+    assert {(b.row, b.column): (b.label, b.label_source) for b in inferred} == {
+        cell: (known[cell], "read") for cell in fit.undetected
+    }
+    metric = replace(fit, metric=True)
+    pressed = find_button(metric, known[next(iter(fit.undetected))], TargetConfig(max_lateral_std_m=1.0))
+    assert pressed.status == "found" and pressed.button is not None and pressed.button.detection == -1

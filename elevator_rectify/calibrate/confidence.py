@@ -18,6 +18,7 @@ from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, 
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
 from elevator_rectify.calibrate import filled, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
+from elevator_rectify.calibrate.real_pictures import as_stated, names_of, real_examples
 from elevator_rectify.core import confidence
 from elevator_rectify.core.attempts import attempts, best_attempt
 from elevator_rectify.core.confidence import expanded, features
@@ -26,20 +27,21 @@ from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.outline import pose as outline_pose
 from elevator_rectify.core.outline import result as outline_result
 from elevator_rectify.core.picture import fit as picture_fit
+from elevator_rectify.core.picture.straight_edges import Photo
 from elevator_rectify.core.pipeline import admitted
 from elevator_rectify.core.types import Array, Detection
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene, paper_camera
 
-# Of standardised features, an example.
-_RIDGE = 0.0006
+# Of standardised features, an example; real panels are few, and alike among themselves.
+_RIDGE, _REAL_RIDGE = 0.0006, 0.003
 # Few pictures in a robot's life are as bad as the worst level.
 _WEIGHTS = {"extreme": 0.5}
 _LEVELS = ("easy", "medium", "hard", "extreme", "gaps", *4 * ["wild"])
 _PICTURE_LEVELS = ("easy", "medium", "hard", "hard", "hard", "gaps", *5 * ["wild"], "swapped")
 # Pictures spoilt in these ways, of panels of the level hard.
 _SPOILT = ("blurred", "noisy", "hand", "overexposed", "shifted")
-# With pictures, a rotation further off than this is wrong.
+# With pictures, a rotation further off than this, and than its covariance says, is wrong.
 _RIGHT_DEG = 2.0
 _RIGHT_OUTLINE_DEG = 4.0
 _FEW = tuple(f"{shape} {number}" for shape in ("round", "square") for number in range(1, 6))
@@ -104,16 +106,18 @@ def picture_examples(task: tuple[str, int, int]) -> list[Example]:
 def _searched(given: Pictured, scene: Scene | None, usable: Usable, sigma: float, weight: float) -> list[Example]:
     """Return an example of every search that finds a fit, and another pose of it."""
     camera, found = given.scene.camera, []
+    photo = Photo(given.image, camera)
     for attempt in attempts(usable, camera, sigma, _CONFIG):
         if attempt.fit is None or not np.isfinite(attempt.result.covariance).all():
             continue
-        fit = picture_fit.picture_fit(attempt.fit, attempt.result, usable, camera, sigma, given.image, _CONFIG)
+        fit = picture_fit.picture_fit(attempt.fit, attempt.result, usable, sigma, photo, _CONFIG)
         if fit is None or not np.isfinite(fit.result.covariance).all():
             continue
         x, right, d2 = picture_fit.picture_features(fit, attempt.result, usable, sigma), False, float("nan")
         if scene is not None:
             trial = judged(scene, fit.result, 0.0)
-            right, d2 = trial.error_deg <= _RIGHT_DEG and trial.cells >= RIGHT_CELLS, trial.mahalanobis2
+            right = trial.cells >= RIGHT_CELLS and as_stated(trial.error_deg, fit.result.covariance, _RIGHT_DEG)
+            d2 = trial.mahalanobis2
         found.append(Example(x, right, d2, weight))
         if right and attempt.result.ok:
             break
@@ -134,12 +138,21 @@ def outline_examples(task: tuple[str, int, int]) -> list[Example]:
     return [Example(outline_result.few_features(found), right, float("nan"), 1.0)]
 
 
-def write_model(found: list[Example], names: tuple[str, ...], path: Path) -> None:
+def real_panels(folder: Path, with_picture: bool, weight: float) -> list[Example]:
+    """Return the examples of the labelled pictures that nothing is judged by, of this weight together."""
+    tasks = [(str(folder), name) for name in names_of(folder, validation=False)]
+    several = [e for panel in parallel(real_examples, tasks, "real panels") for e in panel]
+    chosen = [e for e in several if e.with_picture == with_picture]
+    return [Example(e.x, e.right, float("nan"), weight / len(chosen)) for e in chosen]
+
+
+def write_model(found: list[Example], names: tuple[str, ...], path: Path, ridge: float = _RIDGE) -> None:
     """Fit the model, write it, print how well it tells right from wrong."""
     X, y = np.array([e.x for e in found]), np.array([float(e.right) for e in found])
     mean, std = X.mean(axis=0), np.maximum(X.std(axis=0), 1e-6)
     Z = expanded(X, mean, std)
-    beta = logistic_regression(Z, y, np.array([e.weight for e in found]), _RIDGE * len(y))
+    weight = np.array([e.weight for e in found])
+    beta = logistic_regression(Z, y, weight, ridge * float(weight.sum()))
     table = {
         "features": {n: [round(float(m), 5), round(float(d), 6)] for n, m, d in zip(names, mean, std, strict=True)},
         "coefficients": [round(float(b), 5) for b in beta],
@@ -150,7 +163,7 @@ def write_model(found: list[Example], names: tuple[str, ...], path: Path) -> Non
     for limit in (0.5, 0.8, 0.9, 0.95, 0.98):
         right, wrong = np.mean(p[y == 1] > limit), np.mean(p[y == 0] > limit)
         print(f"above {limit}: {right:.3f} of the right, {wrong:.4f} of the wrong")
-    d2 = np.array([e.mahalanobis2 for e in found if e.right])
+    d2 = np.array([e.mahalanobis2 for e in found if e.right and np.isfinite(e.mahalanobis2)])
     print(f"rotation: mean d2 / 3 = {np.mean(np.minimum(d2, 30)) / 3:.3f}, inside 95 %: {np.mean(d2 < 7.815):.3f}")
     print(f"wrote {path}")
 
@@ -168,6 +181,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name in ("detector", "reader"):
         parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"our {name}'s scores")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of real panels, with --buttons")
+    parser.add_argument("--labelled", type=Path, help="real pictures: their fits count as much as the rendered ones'")
     options = parser.parse_args(arguments)
     if options.detector is not None:
         networks.calibrate_detector(options.detector)
@@ -188,7 +202,11 @@ def main(arguments: list[str] | None = None) -> int:
         names, path = outline_result.FEATURES, outline_result.COEFFICIENTS
     tasks = [(kind, options.seed + k, n) for k, kind in enumerate(kinds) for n in range(options.trials or usual)]
     found = [e for several in parallel(function, tasks, "calibrating") for e in several]
-    write_model(found, names, path)
+    if options.labelled is None or options.outlines:
+        write_model(found, names, path)
+        return 0
+    found += real_panels(options.labelled, options.pictures, sum(e.weight for e in found))
+    write_model(found, names, path, _REAL_RIDGE)
     return 0
 
 

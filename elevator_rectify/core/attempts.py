@@ -14,6 +14,7 @@ from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.picture.fit import with_picture
+from elevator_rectify.core.picture.straight_edges import Photo
 from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, contradicted, second_opinion
 from elevator_rectify.core.result import joint_fit, layout_of
 from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
@@ -81,6 +82,7 @@ def attempts(
     R_upright_camera = _upright(config)
     rays = usable.rays @ R_upright_camera[:2, :2].T
     area = camera.width * camera.height / camera.focal_px**2
+    photo = None if image is None else Photo(image, camera)
     for hypotheses, enough in _widths(config.hypotheses, len(rays)):
         fit = fit_joint(rays, sigma, area, replace(config, hypotheses=hypotheses))
         if fit is not None:
@@ -88,8 +90,8 @@ def attempts(
             fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
         boxes = joint_fit(fit, usable, camera, sigma, config)
         result = boxes
-        if image is not None and fit is not None:
-            result = with_picture(fit, boxes, usable, camera, sigma, image, config)
+        if photo is not None and fit is not None:
+            result = with_picture(fit, boxes, usable, sigma, photo, config)
         yield Attempt(fit, result, enough, boxes)
 
 
@@ -111,7 +113,7 @@ def tracked(
     if image is None:
         return result
     measured = previous.measurement is not None
-    shown = with_picture(moved, result, usable, camera, sigma, image, config, tracked=measured)
+    shown = with_picture(moved, result, usable, sigma, Photo(image, camera), config, previous.measurement)
     if not config.measurement.witness:
         return shown
     # Boxes that were believed without the picture's measurement are so while they are tracked.

@@ -145,7 +145,9 @@ class SizeConfig(Checked):
 class AcceptConfig(Checked):
     """When a fit may be used."""
 
-    min_confidence: float = value(0.8, "a fit with a lower confidence is refused", low=0.0, high=1.0)
+    min_confidence: float = value(
+        0.8, "a fit to the detections or outlines alone with a lower confidence is refused", low=0.0, high=1.0
+    )
     min_inlier_share: float = value(0.6, "paper methods: fewest inliers over detections", low=0.0, high=1.0)
     min_occupancy: float = value(0.5, "paper methods: fewest filled cells over cells", low=0.0, high=1.0)
     max_rms_pitch: float = value(0.12, "paper methods: largest rms residual, in pitches", low=1e-3, high=0.5)
@@ -199,6 +201,7 @@ class MeasurementConfig(Checked):
     witness: bool = value(
         True, "where the picture does not confirm the boxes, our own detector is asked whether it contradicts them"
     )
+    min_confidence: float = value(0.75, "a fit to the picture with a lower confidence is refused", low=0.0, high=1.0)
     edges: bool = value(False, "straight edges that run along the panel's directions sharpen the rotation")
     covariance_scale: float = value(2.5, "factor on the covariance, from calibration", low=0.01, high=100.0)
 
@@ -241,7 +244,7 @@ class TargetConfig(Checked):
     min_probability: float = value(
         0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )
-    allow_inferred: bool = value(False, "buttons without a detection may be pressed")
+    allow_inferred: bool = value(False, "buttons that were neither detected nor read may be pressed")
     max_lateral_std_m: float = value(
         0.01, "largest standard deviation of a button's place across the pressing direction", low=0.0, high=1.0
     )

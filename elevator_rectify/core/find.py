@@ -10,7 +10,7 @@ from elevator_rectify.core.detector.detect import detect_buttons
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import DEFAULT_CONFIG, fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
-from elevator_rectify.core.reading.reader import labelled, read_boxes, read_in_plane
+from elevator_rectify.core.reading.reader import labelled, read_boxes, read_in_plane, read_undetected
 from elevator_rectify.core.types import Detection, FitResult, Image
 
 
@@ -25,12 +25,15 @@ def find_panel(
 
 
 def with_labels(fit: GridFit, image: Image, camera: Camera) -> GridFit:
-    """Return the fit with labels where its detections bring none: read in the panel's plane, else as the boxes are."""
+    """Return the fit with labels where its detections bring none: read in the panel's plane, else as the boxes are.
+
+    Buttons that the picture shows and nobody detected are read, too.
+    """
     sizes = _have_sizes(fit.detections) or (fit.ok and fit.measurement is not None)
     if not fit.detections or all(d.label for d in fit.detections) or not sizes:
         return fit
     reads = read_in_plane(image, camera, fit) if fit.ok else read_boxes(image, fit.detections)
-    return replace(fit, detections=labelled(fit.detections, reads))
+    return replace(fit, detections=labelled(fit.detections, reads), undetected=read_undetected(image, camera, fit))
 
 
 def _have_sizes(detections: Sequence[Detection]) -> bool:

@@ -97,11 +97,11 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
         other = _layout_result(fit.other, found, usable, camera, config)
         reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
         return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
-    return judged(best, fit.best, camera, config)
+    return judged(best, fit.best, camera, config, config.accept.min_confidence)
 
 
-def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config) -> FitResult:
-    """Return the fit with its status, by its plausibility, covariance and confidence."""
+def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config, least: float) -> FitResult:
+    """Return the fit with its status, by its plausibility, covariance and confidence, of which `least` is needed."""
     implausible = _implausible(found, fit, camera)
     if implausible:
         return replace(found, status="no_lattice", reason=implausible)
@@ -113,8 +113,8 @@ def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config) -> 
     if sideways > _MOST_SIDEWAYS * float(found.pitch.min()):
         reason = f"the place is known to {sideways / float(found.pitch.min()):.2f} pitches sideways only"
         return replace(found, status="uncertain", reason=reason)
-    if found.confidence < config.accept.min_confidence:
-        reason = f"confidence {found.confidence:.3f} < {config.accept.min_confidence:g}"
+    if found.confidence < least:
+        reason = f"confidence {found.confidence:.3f} < {least:g}"
         return replace(found, status="low_confidence", reason=reason)
     return replace(found, status="ok", reason="")
 

@@ -75,7 +75,7 @@ class Measurement:
     centre_px: (rows, columns, 2) the button's centre in the (distorted) image, covariance_px2: (rows, columns, 2, 2) of
     it; correlation: (rows, columns) with the buttons' common look, up to 1. half_size: (2,) of a button, in the fit's
     unit. residual, scatter: rms distance of the buttons from the lattice, and the part of it that is the panel's own,
-    in column pitches.
+    in column pitches. uprightness: (3,) what the picture's straight edges say of the pose (`straight_edges`).
     """
 
     centre_px: Array
@@ -84,6 +84,7 @@ class Measurement:
     half_size: Array
     residual: float
     scatter: float
+    uprightness: Array = _nan(3)
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ class FitResult:
     whole pitch. alternatives: with status 'ambiguous', the other poses that explain the detections almost as well;
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
     a list; `cells` has the same order, and so have rays (N, 2), the detections in undistorted normalised coordinates,
-    NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them.
+    NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them. undetected:
+    by cell, the buttons that it shows and nobody detected, as they were read.
 
     covariance: (6, 6) of t and rotation (about the camera's axes), the error of the scale in it. shape_covariance:
     (6 + S, 6 + S) of t, rotation and what shapes the panel, without that error: ln(row pitch / column pitch), then the
@@ -139,6 +141,7 @@ class FitResult:
     detections: tuple[Detection, ...] = ()
     rays: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measurement: Measurement | None = None
+    undetected: dict[tuple[int, int], Detection] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.lattice.coarsening import coarsened
+from elevator_rectify.core.lattice.columns import column_layouts
 from elevator_rectify.core.lattice.hypotheses import grown_hypotheses
 from elevator_rectify.core.lattice.layout import (
     LayoutFit,
@@ -38,6 +39,8 @@ _FIXED_STEPS = 4
 _LEADERS = 3
 _FEWEST = 5
 _HOPELESS_NATS = 25.0
+# Where fewer of so few detections are explained by a lattice, a column with controls may explain them.
+_FEW_POINTS, _EXPLAINED = 16, 0.95
 # A tracked fit must still explain this share of the detections that the last one explained.
 _TRACKED_SHARE = 0.9
 
@@ -56,21 +59,32 @@ def fit_joint(rays: Array, sigma: float, area: float, config: Config) -> JointFi
 
     Returns None where no hypothesis has two rows and two columns.
     """
-    maps, brick = grown_hypotheses(rays, sigma, config.hypotheses)
-    if not len(maps):
-        return None
-    starts = _distinct(maps, brick, rays, sigma, area, config)
-    if starts is None:
-        return None
-    fits = refine(starts, rays, sigma, area, config.joint)
-    order = _leaders(fits)
-    layouts = [f for f in (complete(fits, k, rays, sigma, area, config) for k in order) if f is not None]
+    layouts = _regular_layouts(rays, sigma, area, config)
+    if len(rays) <= _FEW_POINTS and max((_explained(f) for f in layouts), default=0.0) < _EXPLAINED:
+        fits = (_extended(f, rays, sigma, area, config) for f in column_layouts(rays, sigma, area, config))
+        layouts += [f for f in fits if f is not None]
     if not layouts:
         return None
     layouts.sort(key=lambda f: -f.log_likelihood)
     best = layouts[0]
     other = next((f for f in layouts[1:] if pose_angle(f, best) > OTHER_POSE_RAD), None)
     return JointFit(best, other, best.log_likelihood - other.log_likelihood if other else np.inf)
+
+
+def _explained(fit: LayoutFit) -> float:
+    """Return the share of the detections that are inliers."""
+    return float((fit.inlier > 0.5).mean())
+
+
+def _regular_layouts(rays: Array, sigma: float, area: float, config: Config) -> list[LayoutFit]:
+    """Return the layouts that the best lattice hypotheses grow into."""
+    maps, brick = grown_hypotheses(rays, sigma, config.hypotheses)
+    starts = _distinct(maps, brick, rays, sigma, area, config) if len(maps) else None
+    if starts is None:
+        return []
+    fits = refine(starts, rays, sigma, area, config.joint)
+    several = (complete(fits, k, rays, sigma, area, config) for k in _leaders(fits))
+    return [f for f in several if f is not None]
 
 
 def track_joint(
@@ -159,8 +173,13 @@ def complete(fits: Scored, k: int, rays: Array, sigma: float, area: float, confi
     layout = regular_layout(fits.cells[k], inlier, bool(fits.poses.brick[k]))
     if len(layout.rows) < 2 or len(layout.columns) < 2 or len(layout.rows) * len(layout.columns) > 8 * len(rays):
         return None
+    fit = evaluate(fits.poses.take(np.array([k])), layout, rays, sigma, area, config.joint)
+    return _extended(fit, rays, sigma, area, config)
+
+
+def _extended(fit: LayoutFit, rays: Array, sigma: float, area: float, config: Config) -> LayoutFit | None:
+    """Return the fit with the rows, columns and gaps that it lacks; None where too little lies on it."""
     joint = config.joint
-    fit = evaluate(fits.poses.take(np.array([k])), layout, rays, sigma, area, joint)
     fit = trimmed(fit, rays, sigma, area, joint)
     fit = coarsened(fit, rays, sigma, area, joint)
     fit = with_extra_rows(fit, rays, sigma, area, joint)

@@ -8,6 +8,7 @@ it move along. The same for columns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,14 +41,16 @@ class Layout:
     row_breaks: tuple[int, ...] = ()
     column_breaks: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def nodes(self) -> Array:
-        """Return lattice coordinates (R, C, 2) = (column, row)."""
-        u = self.columns[None, :] + 0.5 * self.row_stagger[:, None]
-        v = self.rows[:, None] + 0.5 * self.column_stagger[None, :]
-        return np.stack(np.broadcast_arrays(u, v), axis=-1)
+        """Return lattice coordinates (R, C, 2) = (column, row), which must not be written to."""
+        nodes = np.empty((len(self.rows), len(self.columns), 2))
+        nodes[..., 0] = self.columns[None, :] + 0.5 * self.row_stagger[:, None]
+        nodes[..., 1] = self.rows[:, None] + 0.5 * self.column_stagger[None, :]
+        nodes.flags.writeable = False
+        return nodes
 
-    @property
+    @cached_property
     def cells(self) -> float:
         """Return how many cells the layout has; a staggered line has one less."""
         return max(1.0, float(len(self.rows) * len(self.columns) - self.row_stagger.sum() - self.column_stagger.sum()))

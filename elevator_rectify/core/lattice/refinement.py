@@ -92,7 +92,7 @@ def mirrored(poses: Poses) -> Poses:
 def projected(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:
     """Return points (B, N, 2), camera-frame arms (B, N, 3) from t, and depths (B, N) of lattice points (B, N, 2)."""
     plane = lattice - poses.centre[:, None]
-    plane = np.stack([plane[..., 0], plane[..., 1] * np.exp(poses.log_aspect)[:, None]], axis=-1)
+    plane[..., 1] *= np.exp(poses.log_aspect)[:, None]
     arm = plane @ np.swapaxes(poses.R[:, :, :2], 1, 2)
     points = arm + poses.t[:, None]
     depth = np.asarray(np.maximum(points[..., 2], 1e-3), dtype=np.float64)
@@ -114,7 +114,9 @@ def jacobians(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:
     J[..., 1, 3], J[..., 1, 4], J[..., 1, 5] = -(Z + py * Y) * inverse, py * X * inverse, X * inverse
     aspect = np.exp(poses.log_aspect)
     a, b = poses.R[:, None, :, 0], poses.R[:, None, :, 1] * aspect[:, None, None]
-    d_uv = np.stack([(e[..., :2] - x * e[..., 2:]) * inverse[..., None] for e in (a, b)], axis=-1)
+    d_uv = np.empty((B, N, 2, 2))
+    for k, e in enumerate((a, b)):
+        d_uv[..., k] = (e[..., :2] - x * e[..., 2:]) * inverse[..., None]
     J[..., 6] = d_uv[..., 1] * (lattice[..., 1] - poses.centre[:, None, 1])[..., None]
     return x, J, d_uv
 

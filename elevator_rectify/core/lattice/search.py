@@ -23,7 +23,7 @@ from elevator_rectify.core.types import Array
 
 _Change = Callable[[LayoutFit, Array, float, float, JointConfig], LayoutFit]
 # A distance within this of a whole pitch counts as that.
-_WHOLE = 0.06
+WHOLE = 0.06
 _MAX_EXTRA_LINES = 10
 # Two rows of buttons are no closer than this; a staggered one fits between.
 _CLOSEST = 0.6
@@ -142,7 +142,7 @@ def with_breaks(layout: Layout) -> Layout:
     """Set the breaks of the rows: where a distance is no whole pitch, nor a half one to a staggered row."""
     distance, change = np.diff(layout.rows), np.abs(np.diff(layout.row_stagger))
     off = np.minimum(np.abs(distance - np.round(distance)), np.where(change > 0, np.abs(distance - 0.5), 1.0))
-    return replace(layout, row_breaks=tuple(int(k) + 1 for k in np.flatnonzero(off > _WHOLE)))
+    return replace(layout, row_breaks=tuple(int(k) + 1 for k in np.flatnonzero(off > WHOLE)))
 
 
 def with_gaps(fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
@@ -184,7 +184,7 @@ def _best_gap(fit: LayoutFit, rays: Array, config: JointConfig) -> Layout | None
     usable = variance > 1e-3 * (Z * w[:, None] * Z).sum(axis=0)
     gain = np.where(usable, 0.5 * score**2 / np.where(usable, variance, 1.0), 0.0)
     shift = np.where(usable, score / np.where(usable, variance, 1.0), 0.0)
-    gain = np.where(np.abs(shift) > _WHOLE, gain, 0.0)
+    gain = np.where(np.abs(shift) > WHOLE, gain, 0.0)
     k = int(gain.argmax())
     if gain[k] < config.gap_nats:
         return None

@@ -16,11 +16,11 @@ from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, pose_at
 from elevator_rectify.core.lattice.refinement import jacobians, projected
 from elevator_rectify.core.picture.measured import STAGES, MeasuredFit, measure
-from elevator_rectify.core.picture.straight_edges import segments_of, sharpened
+from elevator_rectify.core.picture.straight_edges import Photo, sharpened, uprightness
 from elevator_rectify.core.picture.widening import widened
 from elevator_rectify.core.result import judged, layout_result
 from elevator_rectify.core.track import posed
-from elevator_rectify.core.types import Array, FitResult, Image, Measurement
+from elevator_rectify.core.types import Array, FitResult, Measurement
 
 # Written by `python3 -m elevator_rectify calibrate --pictures`.
 COEFFICIENTS = Path(__file__).with_name("confidence.json")
@@ -42,6 +42,9 @@ FEATURES = (
     "free lines a button",
     "ln boxes' distance over std",
     "ln boxes' common distance over std",
+    "upright edges' share",
+    "edges' turn over std",
+    "ln rotation std with edges",
 )
 # Poses with a margin below are all measured.
 _COMPARED_NATS = 10.0
@@ -51,6 +54,11 @@ _MARGIN_NATS = 15.0
 _COMMON_SHIFT = 0.015
 # Caps stand out of the plate by up to a tenth of their size: rms.
 _CAP_HEIGHT = 0.05
+# Fits whose rotation is known no better than this are turned to the picture's straight edges.
+_WEAK_RAD = np.deg2rad(2.0)
+# Two edges of one seam, or edges that nearly run along the panel, do not err independently: on real panels the rotation
+# was off by so many times what independent ones would leave.
+_DEPENDENT = 2.5
 # A detection whose centre is so near to a button's, in half sizes, is of that button.
 _ON_BUTTON = 0.9
 
@@ -70,17 +78,16 @@ def with_picture(
     fit: JointFit,
     boxes: FitResult,
     usable: Usable,
-    camera: Camera,
     sigma: float,
-    image: Image,
+    photo: Photo,
     config: Config,
-    tracked: bool = False,
+    last: Measurement | None = None,
 ) -> FitResult:
     """Return the fit to the picture; `boxes`, the fit to the detections, where the picture does not show the buttons.
 
-    sigma: of the detections in normalised units; tracked: the fit follows one that was measured, and needs less.
+    sigma: of the detections in normalised units; last: of the measured fit that this one follows, which needs less.
     """
-    found = picture_fit(fit, boxes, usable, camera, sigma, image, config, tracked)
+    found = picture_fit(fit, boxes, usable, sigma, photo, config, last)
     if found is None:
         return boxes
     score = logistic_confidence(picture_features(found, boxes, usable, sigma), COEFFICIENTS)
@@ -88,29 +95,30 @@ def with_picture(
     if found.other is not None and max(found.margin, fit.margin) < config.joint.ambiguity_nats:
         reason = f"two poses explain the picture, {found.margin:.2g} nats apart"
         return replace(result, status="ambiguous", reason=reason, alternatives=(found.other,))
-    return judged(replace(result, alternatives=()), found.measured.fit, camera, config)
+    least = config.measurement.min_confidence
+    return judged(replace(result, alternatives=()), found.measured.fit, photo.camera, config, least)
 
 
 def picture_fit(
     fit: JointFit,
     boxes: FitResult,
     usable: Usable,
-    camera: Camera,
     sigma: float,
-    image: Image,
+    photo: Photo,
     config: Config,
-    tracked: bool = False,
+    last: Measurement | None = None,
 ) -> PictureFit | None:
     """Return the fit to the picture, None where it does not show enough of the buttons."""
+    image, camera = photo.image, photo.camera
     candidates = [fit.best] + ([fit.other] if fit.other is not None and fit.margin < _COMPARED_NATS else [])
-    stages = _TRACKED_STAGES if tracked else STAGES
+    stages = STAGES if last is None else _TRACKED_STAGES
     found = [measure(c, usable.rays, usable.sizes_px, sigma, image, camera, config, stages) for c in candidates]
     measured = sorted((m for m in found if m is not None and _shown(m, config)), key=_misfit)
     if not measured:
         return None
-    results = [_result(m if tracked else widened(m, config), boxes, usable, camera, sigma, config) for m in measured]
-    if config.measurement.edges:
-        results = [_with_edges(r, image, camera) for r in results]
+    wide = measured if last is not None else [widened(m, config) for m in measured]
+    results = [_result(m, boxes, usable, camera, sigma, config) for m in wide]
+    results = [_with_edges(_judged_by_edges(r, photo, last), photo, config) for r in results]
     margin = _misfit(measured[1]) - _misfit(measured[0]) if len(measured) > 1 else np.inf
     return PictureFit(measured[0], results[0], results[1] if len(results) > 1 else None, float(margin))
 
@@ -144,16 +152,30 @@ def _result(
     return replace(result, measurement=_measurement(measured, float(result.pitch[0]), camera))
 
 
-def _with_edges(fit: FitResult, image: Image, camera: Camera) -> FitResult:
-    """Return the fit turned about its grid's centre as the straight edges that agree with it say."""
-    steps = np.linalg.norm(np.diff(fit.grid_px, axis=0), axis=-1)
-    segments = segments_of(image, camera, float(np.median(steps)))
+def _judged_by_edges(fit: FitResult, photo: Photo, last: Measurement | None) -> FitResult:
+    """Return the fit with what the picture's edges say of its pose, which stays from frame to frame."""
+    if fit.measurement is None or not np.isfinite(fit.covariance).all():
+        return fit
+    if last is not None and np.isfinite(last.uprightness).all():
+        said = last.uprightness
+    else:
+        said = uprightness(photo.segments, fit.R_camera_panel, fit.covariance[3:, 3:])
+    return replace(fit, measurement=replace(fit.measurement, uprightness=said))
+
+
+def _with_edges(fit: FitResult, photo: Photo, config: Config) -> FitResult:
+    """Return the fit turned about its grid's centre as the straight edges that agree with it say, if it is weak itself
+    (a column of floors with some controls), or if that is asked for."""
+    known = np.isfinite(fit.covariance).all()
+    if not known or not (config.measurement.edges or rotation_std_rad(fit.covariance) > _WEAK_RAD):
+        return fit
+    segments = replace(photo.segments, std_rad=_DEPENDENT * photo.segments.std_rad)
     if not len(segments.normal):
         return fit
     R, covariance = sharpened(fit.R_camera_panel, fit.covariance[3:, 3:], segments)
     centre = fit.grid_panel.mean(axis=(0, 1))
     t = fit.t_camera_panel + (fit.R_camera_panel - R)[:, :2] @ centre
-    turned = posed(fit, R, t, camera)
+    turned = posed(fit, R, t, photo.camera)
     # What place and shape owe to the rotation shrinks with it.
     return replace(
         turned,
@@ -228,6 +250,7 @@ def picture_features(found: PictureFit, boxes: FitResult, usable: Usable, sigma:
     free = len(layout.row_breaks) + len(layout.column_breaks) + layout.row_stagger.sum() + layout.column_stagger.sum()
     number = float(seen.sum())
     apart = _boxes_apart(measured, usable, sigma)
+    said = np.zeros(3) if result.measurement is None else result.measurement.uprightness
     p = float(np.clip(boxes.confidence, 1e-3, 1.0 - 1e-3))
     return np.array(
         [
@@ -247,5 +270,6 @@ def picture_features(found: PictureFit, boxes: FitResult, usable: Usable, sigma:
             1.0 / max(number - 3.0, 1.0),
             free / number,
             *apart,
+            *said,
         ]
     )

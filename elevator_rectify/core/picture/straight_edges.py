@@ -8,12 +8,13 @@ not; those of other directions, such as a handrail seen from aside, agree with n
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.geometry.rotations import rotations
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
 from elevator_rectify.core.types import Array, Image
 
 _LARGEST_PX = 1000
@@ -22,6 +23,10 @@ _END_STD_PX, _DIRECTION_STD = 0.7, np.deg2rad(0.35)
 # Edges further from an axis than this are others.
 _AGREES_RAD = np.deg2rad(3.0)
 _STEPS = 4
+# What a pose is judged by: edges as long as this share of the picture, which run within the wider angle of an axis,
+# should do so within the narrower one.
+_LONG_SHARE, _NEAR_RAD, _UPRIGHT_RAD = 1 / 25, np.deg2rad(12.0), np.deg2rad(1.5)
+_MOST_TURNED = 10.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,19 @@ class Segments:
 
     normal: Array
     std_rad: Array
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A picture (height, width[, 3]) uint8 and its camera; its edges are found when they are first asked for."""
+
+    image: Image
+    camera: Camera
+
+    @cached_property
+    def segments(self) -> Segments:
+        """Return the straight edges that are long enough to judge a pose by."""
+        return segments_of(self.image, self.camera, _LONG_SHARE * max(self.image.shape[:2]))
 
 
 def segments_of(image: Image, camera: Camera, shortest_px: float) -> Segments:
@@ -88,3 +106,19 @@ def sharpened(R: Array, covariance: Array, segments: Segments) -> tuple[Array, A
             gradient -= J.T @ (weight[:, k] * error[:, k])
         R = rotations(np.linalg.solve(information, gradient)[None])[0] @ R
     return R, np.asarray(np.linalg.inv(information))
+
+
+def uprightness(segments: Segments, R: Array, covariance: Array) -> Array:
+    """Return what the edges say of a rotation with its covariance (3, 3), as three numbers.
+
+    The share of those near an axis that are along it, how far they turn it over its standard deviation, and ln of the
+    standard deviation that they leave.
+    """
+    own = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    if not len(segments.normal):
+        return np.array([0.0, 0.0, np.log(own)])
+    off = np.abs(agreement(segments, R)[0]).min(axis=1)
+    share = float((off < _UPRIGHT_RAD).sum()) / max(1.0, float((off < _NEAR_RAD).sum()))
+    better, left = sharpened(R, covariance, segments)
+    turned = rotation_angle_rad(R.T @ better) / max(own, 0.003)
+    return np.array([share, min(turned, _MOST_TURNED), 0.5 * np.log(np.linalg.eigvalsh(left)[-1])])

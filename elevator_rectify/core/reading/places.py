@@ -68,6 +68,9 @@ def places_of(fit: FitResult) -> PanelPlaces:
         shown = np.isfinite(fit.measurement.correlation).ravel()
     detection = np.concatenate([detection, beside])
     given = [fit.detections[k] if k >= 0 and fit.detections else None for k in detection.tolist()]
+    for (row, column), button in fit.undetected.items():
+        place = row * fit.columns + column
+        given[place] = button if detection[place] < 0 and shown[place] else given[place]
     line, at = _lines(fit, panel)
     none = np.zeros(len(beside), dtype=bool)
     return PanelPlaces(

@@ -139,9 +139,33 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
         if not np.isfinite(ray).all() or not np.isfinite(size).all():
             corners.append(np.full((4, 2), np.nan))
             continue
-        plane = _on_panel(fit, ray) + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5 * MARGIN * size
-        corners.append(camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel))
+        corners.append(_corners_px(fit, camera, _on_panel(fit, ray), size))
     return _read_quadrangles(image, corners, weights)
+
+
+def read_undetected(
+    image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS
+) -> dict[tuple[int, int], Detection]:
+    """Return, by cell, the buttons that the picture shows where nothing was detected, read as `read_in_plane` does."""
+    if not fit.ok or fit.measurement is None:
+        return {}
+    empty = np.isfinite(fit.measurement.correlation)
+    empty[tuple(fit.cells[fit.cells[:, 0] >= 0].T)] = False
+    cells = [(int(row), int(column)) for row, column in np.argwhere(empty)]
+    size = 2.0 * fit.measurement.half_size
+    centre = [fit.measurement.centre_px[cell] for cell in cells]
+    rays = camera.rays(np.array(centre).reshape(-1, 2))
+    corners = [_corners_px(fit, camera, _on_panel(fit, ray), size) for ray in rays]
+    reads = _read_quadrangles(image, corners, weights)
+    extent = [np.ptp(c, axis=0) / MARGIN for c in corners]
+    boxes = [Detection(float(x), float(y), float(w), float(h)) for (x, y), (w, h) in zip(centre, extent, strict=True)]
+    return dict(zip(cells, labelled(boxes, reads), strict=True))
+
+
+def _corners_px(fit: FitResult, camera: Camera, place: Array, size: Array) -> Array:
+    """Return the corners (4, 2) in the picture of a button with its margin: place (2,) and size (2,) on the panel."""
+    plane = place + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5 * MARGIN * size
+    return camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
 
 
 def _read_quadrangles(image: Image, corners_px: Sequence[Array], weights: Path) -> list[Read]:

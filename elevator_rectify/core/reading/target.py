@@ -70,9 +70,10 @@ def _other_readings(fit: GridFit, button: Button) -> set[str]:
 
 def _decided(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
     """Refuse a button whose label is not sure."""
-    if button.detection < 0 and not config.allow_inferred:
-        return Choice(None, "inferred_only", f"{name} was not detected; target.allow_inferred is off")
     as_read = canonical(button.read) == name
+    # What nobody detected, but the picture shows and the reader reads, is as good as detected.
+    if button.detection < 0 and not as_read and not config.allow_inferred:
+        return Choice(None, "inferred_only", f"{name} was neither detected nor read; target.allow_inferred is off")
     if as_read and not button.score >= config.min_score:
         return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
     if probability < config.min_probability:
