@@ -12,7 +12,7 @@ import pytest
 from elevator_rectify.core import Config, fit_panel, rectify_image
 from elevator_rectify.core.view.draw import draw_rectified
 from elevator_rectify.ros.answer import Answer, answer_frame
-from elevator_rectify.ros.config import NodeConfig
+from elevator_rectify.ros.config import NodeConfig, PairingConfig
 from elevator_rectify.ros.messages import make_ros
 from elevator_rectify.ros.output import output_messages
 from elevator_rectify.ros.pairing import Frame
@@ -65,6 +65,18 @@ def test_image_and_camera_info_of_different_frames_are_refused() -> None:
     other.header = header(1, "right_camera")
     answer, _ = answer_frame(frame(1, camera_info=other), Config())
     assert answer.fit.reason == "camera_info: header.frame_id = 'right_camera' is not the image's 'camera'"
+
+
+def test_a_nameless_camera_info_is_the_images_where_that_is_said() -> None:
+    nameless = camera_info(1)
+    nameless.header = header(1, "")
+    answer, _ = answer_frame(frame(1, camera_info=nameless), Config())
+    assert answer.fit.status == "bad_input" and "pairing.nameless_camera_info" in answer.fit.reason
+    said = NodeConfig(pairing=PairingConfig(nameless_camera_info=True))
+    assert answer_frame(frame(1, camera_info=nameless), Config(), node=said)[0].fit.ok
+    other = camera_info(1)
+    other.header = header(1, "right_camera")
+    assert answer_frame(frame(1, camera_info=other), Config(), node=said)[0].fit.status == "bad_input"
 
 
 def depth(encoding: str, metres: float) -> Any:

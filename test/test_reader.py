@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from elevator_rectify.benchmark.pictures import pictured
 from elevator_rectify.core import Config, Detection, TargetConfig, find_button, find_panel, fit_panel
 from elevator_rectify.core.find import with_labels
+from elevator_rectify.core.reading import reader
 from elevator_rectify.core.reading.reader import (
     PATCH_PX,
     Read,
@@ -22,6 +23,7 @@ from elevator_rectify.core.reading.reader import (
     read_boxes,
     read_in_plane,
     read_patches,
+    read_undetected,
 )
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, SLOTS, SYMBOLS, encoded
 
@@ -144,7 +146,7 @@ def test_buttons_that_nobody_detected_are_read_where_the_picture_shows_them() ->
     assert full.ok and fit.ok and not full.undetected
     assert len(fit.undetected) == len(unread) - len(kept) > 0
     for cell, button in fit.undetected.items():
-        assert button.label == known[cell] and button.width_px > 0
+        assert button is not None and button.label == known[cell] and button.width_px > 0
     inferred = [b for b in fit.buttons if b.state == "inferred"]
     assert {(b.row, b.column): (b.label, b.label_source) for b in inferred} == {
         cell: (known[cell], "read") for cell in fit.undetected
@@ -152,3 +154,27 @@ def test_buttons_that_nobody_detected_are_read_where_the_picture_shows_them() ->
     metric = replace(fit, metric=True)
     pressed = find_button(metric, known[next(iter(fit.undetected))], TargetConfig(max_lateral_std_m=1.0))
     assert pressed.status == "found" and pressed.button is not None and pressed.button.detection == -1
+
+
+def test_what_reads_as_no_button_is_an_empty_cell() -> None:
+    given = pictured("easy", 60, 4, held_out=True)
+    camera = given.scene.camera
+    kept = [replace(d, label="") for k, d in enumerate(given.scene.detections) if k % 5 != 2]
+    fit = with_labels(fit_panel(kept, camera, image=given.image), given.image, camera)
+    cell = next(iter(fit.undetected))
+    other = replace(fit, undetected={**fit.undetected, cell: None})
+    states = [{(b.row, b.column): b.state for b in f.buttons}[cell] for f in (fit, other)]
+    assert states == ["inferred", "empty"]
+
+
+def test_no_button_is_said_only_where_the_panels_buttons_read_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = pictured("easy", 60, 4, held_out=True)
+    camera = given.scene.camera
+    kept = [replace(d, label="") for k, d in enumerate(given.scene.detections) if k % 5 != 2]
+    fit = fit_panel(kept, camera, image=given.image)
+    printed, blank = Read((("1", 0.99),), 0.0), Read((), 0.99)
+    assert all(read_undetected(given.image, camera, fit, [printed]).values())
+    monkeypatch.setattr(reader, "_read_quadrangles", lambda image, corners, weights: [blank] * len(corners))
+    assert not any(read_undetected(given.image, camera, fit, [printed]).values())
+    assert all(read_undetected(given.image, camera, fit, [blank]).values())
+    assert all(read_undetected(given.image, camera, fit, []).values())

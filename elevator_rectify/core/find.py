@@ -33,7 +33,8 @@ def with_labels(fit: GridFit, image: Image, camera: Camera) -> GridFit:
     if not fit.detections or all(d.label for d in fit.detections) or not sizes:
         return fit
     reads = read_in_plane(image, camera, fit) if fit.ok else read_boxes(image, fit.detections)
-    return replace(fit, detections=labelled(fit.detections, reads), undetected=read_undetected(image, camera, fit))
+    undetected = read_undetected(image, camera, fit, reads)
+    return replace(fit, detections=labelled(fit.detections, reads), undetected=undetected)
 
 
 def _have_sizes(detections: Sequence[Detection]) -> bool:

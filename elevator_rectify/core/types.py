@@ -101,7 +101,7 @@ class FitResult:
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
     a list; `cells` has the same order, and so have rays (N, 2), the detections in undistorted normalised coordinates,
     NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them. undetected:
-    by cell, the buttons that it shows and nobody detected, as they were read.
+    by cell, the buttons that it shows and nobody detected, as they were read; None for what is no button.
 
     covariance: (6, 6) of t and rotation (about the camera's axes), the error of the scale in it. shape_covariance:
     (6 + S, 6 + S) of t, rotation and what shapes the panel, without that error: ln(row pitch / column pitch), then the
@@ -141,7 +141,7 @@ class FitResult:
     detections: tuple[Detection, ...] = ()
     rays: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measurement: Measurement | None = None
-    undetected: dict[tuple[int, int], Detection] = field(default_factory=dict)
+    undetected: dict[tuple[int, int], Detection | None] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:

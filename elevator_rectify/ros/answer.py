@@ -179,8 +179,10 @@ def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
     _check_size(frame.camera_info, size)
     camera = camera_from_message(frame.camera_info, rectified=node.image_is_rectified)
     ours, theirs = str(frame.image.header.frame_id), str(frame.camera_info.header.frame_id)
-    if ours != theirs:
-        raise BadMessage("camera_info", "header.frame_id", repr(theirs), f"is not the image's {ours!r}")
+    nameless = not theirs and node.pairing.nameless_camera_info
+    if ours != theirs and not nameless:
+        way_out = "; see pairing.nameless_camera_info" if not theirs else ""
+        raise BadMessage("camera_info", "header.frame_id", repr(theirs), f"is not the image's {ours!r}{way_out}")
     if size is not None and size != (camera.height, camera.width):
         text = f"{camera.width} x {camera.height}"
         raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")

@@ -41,6 +41,7 @@ class PairingConfig(Checked):
     tolerance_s: float = value(
         0.0, "largest difference of the stamps of detections and image; 0: equal", low=0.0, high=1.0
     )
+    nameless_camera_info: bool = value(False, "a camera_info whose header has no frame_id is taken for the image's")
     jump_s: float = value(1.0, "an image older than the last by more clears the buffers", low=0.01, high=1000.0)
 
 

@@ -70,7 +70,8 @@ def places_of(fit: FitResult) -> PanelPlaces:
     given = [fit.detections[k] if k >= 0 and fit.detections else None for k in detection.tolist()]
     for (row, column), button in fit.undetected.items():
         place = row * fit.columns + column
-        given[place] = button if detection[place] < 0 and shown[place] else given[place]
+        if detection[place] < 0 and shown[place]:
+            given[place], shown[place] = button, button is not None
     line, at = _lines(fit, panel)
     none = np.zeros(len(beside), dtype=bool)
     return PanelPlaces(

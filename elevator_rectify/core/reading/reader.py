@@ -28,6 +28,8 @@ PATCH_PX, MARGIN = 96, 1.25
 _LARGE_PX = 20.0
 # Pictures that are shrunk by more than this are smoothed first.
 SHARPEST = 1.6
+# What is read as no button with so much is none, on a panel whose buttons are usually read as such with less.
+_NO_BUTTON, _USUAL_OTHER = 0.8, 0.5
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
 _MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
 # Written by `calibrate --reader`: the temperatures that soften the network's certainty.
@@ -144,22 +146,28 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
 
 
 def read_undetected(
-    image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS
-) -> dict[tuple[int, int], Detection]:
-    """Return, by cell, the buttons that the picture shows where nothing was detected, read as `read_in_plane` does."""
+    image: Image, camera: Camera, fit: FitResult, detected: Sequence[Read], weights: Path = WEIGHTS
+) -> dict[tuple[int, int], Detection | None]:
+    """Return, by cell, the buttons that the picture shows where nothing was detected, read as `read_in_plane` does.
+
+    None for a cell that is read as no button (a display, a keyhole, bare metal), unlike the `detected` ones.
+    """
     if not fit.ok or fit.measurement is None:
         return {}
     empty = np.isfinite(fit.measurement.correlation)
     empty[tuple(fit.cells[fit.cells[:, 0] >= 0].T)] = False
     cells = [(int(row), int(column)) for row, column in np.argwhere(empty)]
-    size = 2.0 * fit.measurement.half_size
     centre = [fit.measurement.centre_px[cell] for cell in cells]
     rays = camera.rays(np.array(centre).reshape(-1, 2))
-    corners = [_corners_px(fit, camera, _on_panel(fit, ray), size) for ray in rays]
+    corners = [_corners_px(fit, camera, _on_panel(fit, ray), 2.0 * fit.measurement.half_size) for ray in rays]
     reads = _read_quadrangles(image, corners, weights)
     extent = [np.ptp(c, axis=0) / MARGIN for c in corners]
     boxes = [Detection(float(x), float(y), float(w), float(h)) for (x, y), (w, h) in zip(centre, extent, strict=True)]
-    return dict(zip(cells, labelled(boxes, reads), strict=True))
+    # Buttons without print are read as no buttons, too: then nothing can be said.
+    tells = bool(detected) and float(np.median([r.other for r in detected])) < _USUAL_OTHER
+    none = [tells and r.other > _NO_BUTTON for r in reads]
+    found = zip(cells, labelled(boxes, reads), none, strict=True)
+    return {cell: None if no_button else button for cell, button, no_button in found}
 
 
 def _corners_px(fit: FitResult, camera: Camera, place: Array, size: Array) -> Array:
