@@ -145,7 +145,7 @@ def _left_out(fit: FitResult) -> Array:
     out = (fit.cells[:, 0] < 0) & np.isfinite(fit.rays).all(axis=1)
     panel, depth = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[out])
     seen = np.isfinite(panel).all(axis=1) & (depth > 0)
-    return panel[seen] / fit.pitch
+    return np.asarray(panel[seen] / fit.pitch)
 
 
 def _from_lines(place: Array, lines: Array) -> tuple[Array, Array, BoolArray]:
