@@ -18,9 +18,9 @@ from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, 
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
 from elevator_rectify.calibrate import filled, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
-from elevator_rectify.calibrate.real_pictures import as_stated, names_of, real_examples
+from elevator_rectify.calibrate.real_pictures import as_stated, names_of, real_examples, searched
 from elevator_rectify.core import confidence
-from elevator_rectify.core.attempts import attempts, best_attempt
+from elevator_rectify.core.attempts import best_attempt
 from elevator_rectify.core.confidence import expanded, features
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
@@ -105,14 +105,8 @@ def picture_examples(task: tuple[str, int, int]) -> list[Example]:
 
 def _searched(given: Pictured, scene: Scene | None, usable: Usable, sigma: float, weight: float) -> list[Example]:
     """Return an example of every search that finds a fit, and another pose of it."""
-    camera, found = given.scene.camera, []
-    photo = Photo(given.image, camera)
-    for attempt in attempts(usable, camera, sigma, _CONFIG):
-        if attempt.fit is None or not np.isfinite(attempt.result.covariance).all():
-            continue
-        fit = picture_fit.picture_fit(attempt.fit, attempt.result, usable, sigma, photo, _CONFIG)
-        if fit is None or not np.isfinite(fit.result.covariance).all():
-            continue
+    found = []
+    for attempt, fit in searched(usable, sigma, Photo(given.image, given.scene.camera)):
         x, right, d2 = picture_fit.picture_features(fit, attempt.result, usable, sigma), False, float("nan")
         if scene is not None:
             trial = judged(scene, fit.result, 0.0)
@@ -140,7 +134,7 @@ def outline_examples(task: tuple[str, int, int]) -> list[Example]:
 
 def real_panels(folder: Path, with_picture: bool, weight: float) -> list[Example]:
     """Return the examples of the labelled pictures that nothing is judged by, of this weight together."""
-    tasks = [(str(folder), name) for name in names_of(folder, validation=False)]
+    tasks = [(str(folder), name) for name in names_of(folder)]
     several = [e for panel in parallel(real_examples, tasks, "real panels") for e in panel]
     chosen = [e for e in several if e.with_picture == with_picture]
     return [Example(e.x, e.right, float("nan"), weight / len(chosen)) for e in chosen]

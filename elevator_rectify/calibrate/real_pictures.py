@@ -16,10 +16,11 @@ import numpy as np
 
 from elevator_rectify.benchmark.end_to_end import ASPECTS, judgeable, stretched_camera, true_detections
 from elevator_rectify.core import Camera, Config, Detection, GridFit, fit_panel
-from elevator_rectify.core.attempts import attempts, best_attempt
+from elevator_rectify.core.attempts import Attempt, attempts, best_attempt
 from elevator_rectify.core.confidence import features, rotation_std_rad
+from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
-from elevator_rectify.core.picture.fit import picture_features, picture_fit
+from elevator_rectify.core.picture.fit import PictureFit, picture_features, picture_fit
 from elevator_rectify.core.picture.straight_edges import Photo
 from elevator_rectify.core.pipeline import admitted
 from elevator_rectify.core.types import Array, FitResult, IntArray
@@ -37,17 +38,16 @@ _STDS, _FARTHEST_DEG = 3.0, 10.0
 
 @dataclass(frozen=True)
 class RealExample:
-    """Features of a fit to real boxes, or to their picture too, and whether it was right; panel: the picture's name."""
+    """Features of a fit to real boxes, or to their picture too, and whether it was right."""
 
     with_picture: bool
     x: Array
     right: bool
-    panel: str
 
 
-def names_of(folder: Path, validation: bool) -> list[str]:
-    """Return the names of the pictures that are large enough."""
-    pictures = read_labelled(folder, validation=validation)
+def names_of(folder: Path) -> list[str]:
+    """Return the names of the pictures of large panels that nothing is judged by."""
+    pictures = read_labelled(folder, validation=False)
     return [p.name for p in pictures if p.is_button.sum() >= _FEWEST_BUTTONS and judgeable(p)]
 
 
@@ -63,12 +63,12 @@ def real_examples(task: tuple[str, str]) -> list[RealExample]:
     detections, photo = true_detections(picture), Photo(picture.image, camera)
     found = []
     for chosen in _subsets(fit, rng):
-        found += _examples([detections[k] for k in chosen], photo, fit, name)
+        found += _examples([detections[k] for k in chosen], photo, fit)
     everyone = _all_names(folder)
     other = everyone[int(rng.integers(len(everyone)))]
     if other != name:
         (stranger,) = read_labelled(Path(folder), names=(other,))
-        found += _examples(true_detections(stranger), photo, None, name)
+        found += _examples(true_detections(stranger), photo, None)
     return found
 
 
@@ -127,7 +127,7 @@ def _column_and_others(on: IntArray, row: IntArray, column: IntArray, which: int
     return np.asarray(on[np.concatenate([own, some])], dtype=np.int64)
 
 
-def _examples(detections: list[Detection], photo: Photo, truth: FitResult | None, name: str) -> list[RealExample]:
+def _examples(detections: list[Detection], photo: Photo, truth: FitResult | None) -> list[RealExample]:
     """Return an example of the fit to the boxes, and one of every search's fit to the picture."""
     usable, sigma, refused = admitted(detections, photo.camera, _CONFIG)
     if refused is not None:
@@ -137,15 +137,10 @@ def _examples(detections: list[Detection], photo: Photo, truth: FitResult | None
     # The boxes of another picture may be right by themselves.
     if truth is not None and best.fit is not None and np.isfinite(best.result.covariance).all():
         x = features(best.fit.best, best.fit.margin, sigma, best.result)
-        found.append(RealExample(False, x, _right(best.result, truth), name))
-    for attempt in attempts(usable, photo.camera, sigma, _CONFIG):
-        if attempt.fit is None or not np.isfinite(attempt.result.covariance).all():
-            continue
-        fit = picture_fit(attempt.fit, attempt.result, usable, sigma, photo, _CONFIG)
-        if fit is None or not np.isfinite(fit.result.covariance).all():
-            continue
+        found.append(RealExample(False, x, _right(best.result, truth)))
+    for attempt, fit in searched(usable, sigma, photo):
         right = _right(fit.result, truth)
-        found.append(RealExample(True, picture_features(fit, attempt.result, usable, sigma), right, name))
+        found.append(RealExample(True, picture_features(fit, attempt.result, usable, sigma), right))
         if right and attempt.result.ok:
             break
     return found
@@ -156,6 +151,16 @@ def _right(fit: FitResult, truth: FitResult | None) -> bool:
         return False
     error = float(np.rad2deg(rotation_angle_rad(truth.R_camera_panel.T @ fit.R_camera_panel)))
     return as_stated(error, fit.covariance, _RIGHT_DEG)
+
+
+def searched(usable: Usable, sigma: float, photo: Photo) -> Iterator[tuple[Attempt, PictureFit]]:
+    """Yield every search that finds a fit, with the fit to the picture that it leads to."""
+    for attempt in attempts(usable, photo.camera, sigma, _CONFIG):
+        if attempt.fit is None or not np.isfinite(attempt.result.covariance).all():
+            continue
+        fit = picture_fit(attempt.fit, attempt.result, usable, sigma, photo, _CONFIG)
+        if fit is not None and np.isfinite(fit.result.covariance).all():
+            yield attempt, fit
 
 
 def as_stated(error_deg: float, covariance: Array, floor_deg: float) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from elevator_rectify.core.config import Config, JointConfig
-from elevator_rectify.core.lattice.hypotheses import fit_homographies
+from elevator_rectify.core.lattice.hypotheses import TILT_SINE, fit_homographies
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, evaluate, refine_layout
 from elevator_rectify.core.lattice.refinement import Poses, fitted, mirrored, poses_from_maps
 from elevator_rectify.core.lattice.search import WHOLE, with_breaks
@@ -25,8 +25,8 @@ _BENDING = 0.1
 _ON_LINE = 0.15
 # Controls further from the column's end than so many pitches belong to something else.
 _FARTHEST = 6.0
-# Standard deviation of the sine of the tilt; steps from the affine pose to the fitted one.
-_TILT_SINE, _STEPS = 0.5, 8
+# Steps from the affine pose to the fitted one.
+_STEPS = 8
 # Layouts that are refined, the likeliest of all.
 _REFINED = 2
 
@@ -128,7 +128,7 @@ def _posed(points: Array, floors: int, ends: Array, sigma: float, config: JointC
     length = float(np.hypot(*(points[1] - points[0])))
     everyone = np.ones((1, len(points)))
     to_rays = np.array([[length, 0.0, points[0, 0]], [0.0, length, points[0, 1]], [0.0, 0.0, 1.0]])
-    ridge = np.array([sigma / (_TILT_SINE * length**2)])
+    ridge = np.array([sigma / (TILT_SINE * length**2)])
     G = to_rays @ fit_homographies(at[None], (points[None] - points[0]) / length, everyone, ridge)
     poses = poses_from_maps(G, at.mean(axis=0).round()[None], np.zeros(1))
     poses = fitted(poses, at[None], everyone, points, sigma, config, _STEPS)

@@ -16,7 +16,7 @@ _RADII = (1.4, 2.4, 3.6, 6.0, 100.0)
 _TOLERANCES_CELLS = (0.42, 0.3, 0.28, 0.28, 0.28)
 # Standard deviation of the perspective terms per cell, over the cell's size in focal lengths (its pitch over its
 # depth): the sine of the tilt along that axis.
-_TILT_SINE = 0.5
+TILT_SINE = 0.5
 _BEYOND = 1e6
 # Adjugate entry (j, i) is G[i+1, j+1] G[i+2, j+2] - G[i+1, j+2] G[i+2, j+1], indices modulo 3: places in a flat G.
 _I, _J = np.meshgrid(np.arange(3), np.arange(3))
@@ -153,7 +153,7 @@ def grow(rays: Array, origins: Array, bases: Array, brick: Array, sigma: float) 
     G[:, :2, :2] = bases / length[:, None, None]
     for radius, tolerance in zip(_RADII, _TOLERANCES_CELLS, strict=True):
         cells, weights = _assigned(G, z, brick, radius, tolerance)
-        G = fit_homographies(cells, z, weights, (sigma / length) / (_TILT_SINE * length))
+        G = fit_homographies(cells, z, weights, (sigma / length) / (TILT_SINE * length))
     to_rays = np.tile(np.eye(3), (len(origins), 1, 1))
     to_rays[:, 0, 0] = to_rays[:, 1, 1] = length
     to_rays[:, :2, 2] = origins

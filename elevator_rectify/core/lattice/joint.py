@@ -100,9 +100,8 @@ def track_joint(
     fit = refine_layout(fit, rays, sigma, area, joint, steps=3)
     if fit.layout.row_breaks or fit.layout.column_breaks:
         fit = evaluate(fit.pose, without_empty_blocks(fit), rays, sigma, area, joint)
-    explained = float((fit.inlier > 0.5).mean())
     filled = len(np.unique(fit.node[fit.inlier > 0.5])) / fit.layout.cells
-    return fit if explained >= _TRACKED_SHARE * share and filled > 0.4 and fit.sigma < 2.0 * sigma else None
+    return fit if _explained(fit) >= _TRACKED_SHARE * share and filled > 0.4 and fit.sigma < 2.0 * sigma else None
 
 
 def turned(fit: LayoutFit, R: Array) -> LayoutFit:
