@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.ros.output import TOPICS
+from elevator_rectify.ros.subscribe import subscribe
 from test.harness import DOMAIN, ENVIRONMENT, NODE, ROOT, Harness, start, stop
 from test.messages import camera_info, detections, image
 from test.scenes import rotation_error_deg, scene
@@ -93,6 +95,27 @@ def check_outputs(harness: Harness, truth: Any) -> None:
     assert (info.width, info.height) == (view.width, view.height)
     R = np.array(info.r).reshape(3, 3).T
     assert rotation_error_deg(R, truth.R_camera_panel) < 2.0
+
+
+def test_messages_that_came_together_are_taken_in_one_turn(harness: Harness) -> None:
+    """A flood would starve the other subscriptions, if each message cost the executor a turn."""
+    received: list[Any] = []
+    harness.advertise("flood", "geometry_msgs/msg/PoseArray")
+    subscription = subscribe(harness.node, "geometry_msgs/msg/PoseArray", "flood", received.append)
+    assert harness.until(lambda: bool(harness.inputs["flood"].get_subscription_count()))
+    time.sleep(0.5)
+    for stamp in range(20):
+        harness.send(flood=detections(stamp, np.zeros((3, 2))))
+    time.sleep(0.5)
+    after = set[int]()
+
+    def all_came() -> bool:
+        after.add(len(received))
+        return len(received) == 20
+
+    assert harness.until(all_came, 5.0) and after <= {0, 20}
+    assert [m.header.stamp.nanosec for m in received] == list(range(20))
+    harness.node.destroy_subscription(subscription)
 
 
 def test_parameters_are_checked_and_take_effect(process: subprocess.Popen[str], harness: Harness) -> None:

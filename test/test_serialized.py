@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from elevator_rectify.ros.messages import make_ros
-from elevator_rectify.ros.serialized import read_image
+from elevator_rectify.ros.pictures import BadMessage
+from elevator_rectify.ros.serialized import Unread, read_header, read_image
 from test.messages import header
 
 
@@ -56,3 +57,27 @@ def test_big_endian_bytes_are_left_to_rclpy(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("elevator_rectify.ros.serialized.deserialize_message", lambda *given: seen.append(given))
     read_image("sensor_msgs/msg/Image", b"\x00\x00\x00\x00rest")
     assert seen[0][0].endswith(b"rest")
+
+
+def test_of_detections_only_the_header_is_read_until_they_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    message = make_ros(
+        "geometry_msgs/msg/PoseArray", header=header(5, "camera"), poses=[make_ros("geometry_msgs/msg/Pose")]
+    )
+    data, whole = bytes(serialize_message(message)), []
+
+    def deserialised(*given: Any) -> Any:
+        whole.append(given)
+        return deserialize_message(*given)
+
+    monkeypatch.setattr("elevator_rectify.ros.serialized.deserialize_message", deserialised)
+    read = read_header("geometry_msgs/msg/PoseArray", data)
+    assert (read.header.frame_id, read.header.stamp.nanosec, whole) == ("camera", 5, [])
+    assert len(read.poses) == 1 and not hasattr(read, "detections") and len(whole) == 1
+
+
+def test_detections_that_are_none_are_bad_input_when_they_are_used() -> None:
+    whole = bytes(serialize_message(make_ros("geometry_msgs/msg/PoseArray", header=header(5, "camera"))))
+    read = read_header("geometry_msgs/msg/PoseArray", whole[:-4] + b"\xff\xff\xff\x7f")
+    assert isinstance(read, Unread)
+    with pytest.raises(BadMessage, match="detections: bytes"):
+        _ = read.poses

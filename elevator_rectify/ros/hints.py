@@ -86,7 +86,7 @@ class Hints:
         if self.node.use_depth and not depths:
             hints["depth"] = "use_depth is set, but nothing comes on the topic depth"
         settled = self.node.detections.numbers_are_labels or self.node.detections.labels or "numbers" in self._said
-        if not settled and has_number_ids(detections):
+        if not settled and answer.fit.status != "bad_input" and has_number_ids(detections):
             hints["numbers"] = NUMBER_IDS
         new = [text for name, text in hints.items() if name not in self._said]
         self._said |= hints.keys()

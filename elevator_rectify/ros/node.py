@@ -132,6 +132,7 @@ class ElevatorRectify(Node):
             self,
             self.node_config.detections.type,
             self._feeding(self._add_detections),
+            self.pairing.add_unreadable,
             steady,
         )
         topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}

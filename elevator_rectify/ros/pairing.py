@@ -139,7 +139,7 @@ class Pairing:
 
     def _complete(self) -> list[Frame]:
         """Take out all frames that are complete now, oldest first."""
-        if not self._infos:
+        if not self._infos or not self._images:
             return []
         if not self.needs_detections:
             return [self._take(stamp, None) for stamp in sorted(self._images) if self._has_all(stamp)]

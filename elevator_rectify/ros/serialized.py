@@ -1,4 +1,4 @@
-"""Images read straight from their serialised bytes: an image that nobody looks at costs no copy.
+"""Messages read straight from their serialised bytes: what nobody looks at costs no copy.
 
 The layout is OMG's plain CDR (DDS-XTypes 1.3, 7.4.3): every number aligned to its own size from the first byte after
 the four of encapsulation; a string is its length, with the closing zero, and its bytes.
@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from rclpy.serialization import deserialize_message
 
 from elevator_rectify.ros.messages import ros_type
+from elevator_rectify.ros.pictures import BadMessage
 
 _LITTLE_ENDIAN_CDR = b"\x00\x01"
 _BODY = 4
@@ -79,6 +81,31 @@ class _Reader:
 
     def header(self) -> Header:
         return Header(Stamp(self.number("i"), self.number()), self.text())
+
+
+class Unread:
+    """A message of which the header is read, and the rest when it is first asked for: of a flood most never is."""
+
+    def __init__(self, kind: str, data: bytes) -> None:
+        self.header = _Reader(data).header()
+        self._kind, self._data = kind, data
+
+    @cached_property
+    def _message(self) -> Any:
+        try:
+            return deserialize_message(self._data, ros_type(self._kind))
+        except Exception as error:
+            # Of wrong bytes rclpy says what it likes.
+            raise BadMessage("detections", "bytes", len(self._data), f"are no {self._kind}: {error!r:.200}") from error
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a field of the message itself."""
+        return getattr(self._message, name)
+
+
+def read_header(kind: str, data: bytes) -> Any:
+    """Return the message in serialised bytes that begins with a header, of which only that is read yet."""
+    return Unread(kind, data) if data[:2] == _LITTLE_ENDIAN_CDR else deserialize_message(data, ros_type(kind))
 
 
 def read_image(kind: str, data: bytes) -> Any:

@@ -19,7 +19,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from elevator_rectify.ros.config import DETECTION_TYPES
 from elevator_rectify.ros.messages import ros_type
-from elevator_rectify.ros.serialized import read_image
+from elevator_rectify.ros.serialized import read_header, read_image
 
 _INPUT_DEPTH = 30
 _LOOK_SECONDS = 0.5
@@ -77,9 +77,19 @@ def subscribe(
             f"Set qos_overrides.{name}.subscription.* to match"
         )
 
-    def read(data: bytes) -> None:
+    def received(data: bytes) -> None:
+        handle(data)
+        # An executor's turn costs more than a message: what has come meanwhile is taken with it.
+        for _ in range(_INPUT_DEPTH - 1):
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                return
+            handle(taken[0])
+
+    def handle(data: bytes) -> None:
         try:
-            message = read_image(kind, data)
+            message = read(kind, data)
         except Exception as error:
             # Whatever is wrong with the bytes, and with whichever reader: one message, never the node.
             node.get_logger().error(f"{name}: not a {kind}: {error!r:.200}", throttle_duration_sec=5.0)
@@ -88,11 +98,12 @@ def subscribe(
         add(message)
 
     name = node.resolve_topic_name(topic)
-    serialised = kind in _IMAGES
+    read = read_image if kind in _IMAGES else read_header
+    serialised = kind in _IMAGES or kind in DETECTION_TYPES.values()
     subscription: Any = node.create_subscription(
         ros_type(kind),
         topic,
-        read if serialised else add,
+        received if serialised else add,
         sensor_qos(),
         raw=serialised,
         event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
@@ -104,8 +115,10 @@ def subscribe(
 class DetectionsSubscriber:
     """Subscribes the detections by the configured type, or ('auto') by the one that is published, now or later."""
 
-    def __init__(self, node: Node, kind: str, add: Callable[[Any], None], clock: Any) -> None:
-        self._node, self._add = node, add
+    def __init__(
+        self, node: Node, kind: str, add: Callable[[Any], None], bad: Callable[[str], None], clock: Any
+    ) -> None:
+        self._node, self._add, self._bad = node, add, bad
         self._topic = "detections"
         self._name = node.resolve_topic_name(self._topic)
         self._wanted = None if kind == "auto" else DETECTION_TYPES[kind]
@@ -144,7 +157,7 @@ class DetectionsSubscriber:
             return
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
-        self._subscription = subscribe(self._node, kind, self._topic, self._add)
+        self._subscription = subscribe(self._node, kind, self._topic, self._add, self._bad)
         self.type = kind
         self._node.get_logger().info(f"{self._name}: {kind}")
 
