@@ -318,6 +318,11 @@ def test_several_hypotheses_are_a_distribution_where_their_scores_can_be_one() -
     several = replace(message, detections=[replace(item, results=results)])
     (found,) = detections_from_message(several)
     assert found.label == "B1" and found.readings == (("B1", 0.6), ("B7", 0.3))
+    config = DetectionsConfig(image_width_px=320, image_height_px=240, offset_x_px=4.0, offset_y_px=-8.0)
+    (moved,) = detections_from_message(several, config, (640, 480))
+    (plain,) = detections_from_message(several, DetectionsConfig(), (640, 480))
+    assert (moved.x_px, moved.y_px) == (2.0 * (plain.x_px - 4.0), 2.0 * (plain.y_px + 8.0))
+    assert (moved.width_px, moved.height_px) == (2.0 * plain.width_px, 2.0 * plain.height_px)
     (resized,) = detections_from_message(several, DetectionsConfig(image_width_px=320), (640, 480))
     assert resized.x_px == 2.0 and resized.readings == found.readings
     second = replace(second, score=0.9)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace as Made
 from typing import Any
 
+import numpy as np
 import pytest
 
-from elevator_rectify.core import GridFit
+from elevator_rectify.benchmark.adversarial import PICTURED
+from elevator_rectify.benchmark.pictures import pictured
+from elevator_rectify.core import Config, GridFit
+from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.config import DetectionsConfig, NodeConfig, PairingConfig
 from elevator_rectify.ros.hints import Hints, Silence
@@ -74,3 +78,48 @@ def test_labels_that_are_none_give_no_hint() -> None:
     assert Hints(NodeConfig()).of(answer, detections("open"), 0) == []
     settled = NodeConfig(detections=DetectionsConfig(numbers_are_labels=True))
     assert Hints(settled).of(answer, detections("7"), 0) == []
+
+
+def contradicted(scale: tuple[float, float], offset: tuple[float, float]) -> Answer:
+    found = Placement(np.array(scale), np.array(offset), np.array([640.0, 480.0]), np.array([30.0, 40.0]))
+    return Answer(None, GridFit(status="contradicted"), placement=found)
+
+
+SETTINGS = [
+    ((1.0, 1.01), (2.0, -80.0), ["detections.offset_y_px: 80"]),
+    ((1.33, 0.99), (1.0, 2.0), ["detections.image_width_px: 481"]),
+    ((1.54, 1.54), (0.0, -80.0), ["image_width_px: 416", "image_height_px: 312", "offset_y_px: 52"]),
+    ((1.0, 1.0), (70.0, 100.0), ["offset_x_px: -70", "offset_y_px: -100"]),
+    ((-1.0, 1.0), (639.0, 0.0), ["mirrored"]),
+    ((0.98, 1.02), (16.0, 19.0), ["upper left corners"]),
+]
+
+
+@pytest.mark.parametrize(("scale", "offset", "words"), SETTINGS)
+def test_what_all_contradicted_frames_have_in_common_is_a_setting(
+    scale: tuple[float, float], offset: tuple[float, float], words: list[str]
+) -> None:
+    hints, said = Hints(NodeConfig()), []
+    for k in range(8):
+        wobble = 0.01 * (k % 3 - 1)
+        said += hints.of(contradicted((scale[0] + wobble, scale[1]), (offset[0], offset[1] + 200 * wobble)), None, 0)
+    assert len(said) == 1 and all(word in said[0] for word in words) and hints.advice in said[0]
+
+
+def test_frames_that_ask_for_different_settings_are_no_setting() -> None:
+    hints = Hints(NodeConfig())
+    assert [hints.of(contradicted((1.0, 1.0), (20.0 * k, 0.0)), None, 0) for k in range(40)] == [[]] * 40
+    assert not hints.advice and not hints.placements.wanted
+
+
+@pytest.mark.parametrize("kind", ["letterboxed", "squeezed", "mirrored", "cropped"])
+def test_the_map_that_puts_the_boxes_onto_the_buttons_is_found(kind: str) -> None:
+    given = pictured("easy", 5005, 0, held_out=True)
+    true = given.scene.centres_px
+    wrong = PICTURED[kind](given, np.random.default_rng(1))
+    found = placement(given.image, wrong, Config().network)
+    assert found is not None
+    placed = found.scale * [[d.x_px, d.y_px] for d in wrong] + found.offset_px
+    # Half of what makes a box miss its button.
+    assert np.linalg.norm(placed - true, axis=1).max() < 0.25 * float(np.median(found.box_px))
+    assert placement(np.zeros_like(given.image), wrong, Config().network) is None

@@ -29,6 +29,10 @@ class DetectionsConfig(Checked):
     numbers_are_labels: bool = value(False, "a class id that is a bare number is the button's label, no index")
     image_width_px: int = value(0, "width of the image that boxes refer to; 0: the image's own", low=0, high=100000)
     image_height_px: int = value(0, "height of the image that boxes refer to; 0: the image's own", low=0, high=100000)
+    offset_x_px: float = value(
+        0.0, "taken from the boxes' x before they are scaled: the border of a letterbox", low=-1e5, high=1e5
+    )
+    offset_y_px: float = value(0.0, "taken from the boxes' y before they are scaled", low=-1e5, high=1e5)
 
 
 @dataclass(frozen=True)

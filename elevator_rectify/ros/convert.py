@@ -104,7 +104,7 @@ def detections_from_message(
     """Return the detections of a PoseArray, a vision_msgs/Detection2DArray or a yolo_msgs/DetectionArray.
 
     PoseArray: position x, y is a box's centre in pixels. size: width and height of the image, to which boxes of a
-    resized image (by the configuration) are scaled. Raises BadMessage.
+    resized or letterboxed image (by the configuration) are moved and scaled. Raises BadMessage.
     """
     if hasattr(message, "poses"):
         found = [Detection(float(pose.position.x), float(pose.position.y)) for pose in message.poses]
@@ -116,10 +116,18 @@ def detections_from_message(
         raise BadMessage(topic, "type", type(message).__name__, "is no type of detections")
     x = size[0] / config.image_width_px if size and config.image_width_px else 1.0
     y = size[1] / config.image_height_px if size and config.image_height_px else 1.0
-    if x == 1.0 and y == 1.0:
+    left, above = config.offset_x_px, config.offset_y_px
+    if (x, y, left, above) == (1.0, 1.0, 0.0, 0.0):
         return found
     return [
-        replace(d, x_px=d.x_px * x, y_px=d.y_px * y, width_px=d.width_px * x, height_px=d.height_px * y) for d in found
+        replace(
+            d,
+            x_px=(d.x_px - left) * x,
+            y_px=(d.y_px - above) * y,
+            width_px=d.width_px * x,
+            height_px=d.height_px * y,
+        )
+        for d in found
     ]
 
 

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -199,12 +200,16 @@ class ElevatorRectify(Node):
             jumps, track = self.pairing.jumps, None
         if any(self._listened(topic) for topic in ("buttons", "markers")):
             wanted.append("labels")
+        if self.node_config.measure and self._hints.placements.wanted:
+            wanted.append("placement")
         answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target, self._found)
         self._found = answer.found
         depths, lost = self.pairing.received["depth"], self.pairing.lost_infos
         for hint in self._hints.of(answer, frame.detections, depths, lost):
             self.get_logger().warning(hint)
         self._track = jumps, track
+        if answer.fit.status == "contradicted" and self._hints.advice:
+            answer = replace(answer, fit=replace(answer.fit, reason=f"{answer.fit.reason}; {self._hints.advice}"))
         self._publish(answer)
 
     def _publish(self, answer: Answer) -> None:
