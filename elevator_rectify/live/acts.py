@@ -14,9 +14,10 @@ import numpy as np
 from elevator_rectify.core.types import Array
 from elevator_rectify.live.driver import Driver
 from elevator_rectify.live.frames import Frames, detections_message, header
+from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.messages import make_ros, ros_type
 
-POSE, REFUSED, POSE_OR_SKIPPED, NOTHING = "pose", "refused", "pose or skipped", "nothing"
+POSE, REFUSED, NOTHING = "pose", "refused", "nothing"
 _FRAME_NS = 33_333_333
 _JUMP_NS = 100 * 10**9
 _BURST = 12
@@ -25,7 +26,8 @@ _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 @dataclass
 class Script:
-    """Sends seeded acts and keeps the account: what must come of every stamp, and the view that it showed."""
+    """Sends seeded acts and keeps the account: what must come of every stamp, the view that it showed, and when its
+    last message was sent, on the clock of `time.perf_counter`."""
 
     driver: Driver
     frames: Frames
@@ -34,6 +36,7 @@ class Script:
     expected: dict[int, str] = field(default_factory=dict)
     shown: dict[int, Array] = field(default_factory=dict)
     sent: Counter[str] = field(default_factory=Counter)
+    sent_at: dict[int, float] = field(default_factory=dict)
     acts: Counter[str] = field(default_factory=Counter)
     _number: int = 0
     _base_ns: int = field(default_factory=time.time_ns)
@@ -69,6 +72,7 @@ class Script:
         for name in names or ("camera_info", self.image, "detections"):
             self.driver.publishers[name].publish(messages[name])
             self.sent["image" if name == self.image else name] += 1
+            self.sent_at[stamp_ns(messages[name].header)] = time.perf_counter()
 
     def jump(self) -> None:
         """Set the clock back; the stamps that were used do not come again."""
@@ -173,7 +177,7 @@ def _crowd(script: Script) -> None:
 
 
 def _burst(script: Script) -> None:
-    for messages in [script.new(POSE_OR_SKIPPED)[1] for _ in range(_BURST)]:
+    for messages in [script.new(POSE)[1] for _ in range(_BURST)]:
         script.send(messages)
     script.driver.spin(0.8)
 
