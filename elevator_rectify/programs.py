@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import sys
 from collections.abc import Callable
@@ -26,6 +27,8 @@ PROGRAMS = {
 }
 # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
 _WHOLE_COMMAND = ("node", "detector", "relay")
+# What is wrong with a disk, or with the rights on it, and not with a program.
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS)
 # Packages that some programs need, and how to get them.
 _PACKAGES = {
     "rosbags": "reads and writes bags: pip install rosbags",
@@ -34,7 +37,10 @@ _PACKAGES = {
 
 
 def run(name: str, command: list[str] | None = None) -> int:
-    """Run a program with a command line (sys.argv); return its exit code, 3 where a package is missing."""
+    """Run a program with a command line (sys.argv); return its exit code.
+
+    It is 3 where a package is missing, 1 where nothing can be written.
+    """
     command = sys.argv if command is None else command
     try:
         program = importlib.import_module(PROGRAMS[name][0])
@@ -44,7 +50,14 @@ def run(name: str, command: list[str] | None = None) -> int:
             raise
         print(f"{name} needs the Python package {package}, which {_PACKAGES[package]}", file=sys.stderr)
         return 3
-    return int(program.main(command if name in _WHOLE_COMMAND else command[1:]))
+    try:
+        return int(program.main(command if name in _WHOLE_COMMAND else command[1:]))
+    except OSError as error:
+        if error.errno not in _UNWRITABLE:
+            raise
+        where = f" {error.filename}" if error.filename else ""
+        print(f"{name}: cannot write{where}: {error.strerror}; what was written before may be cut off", file=sys.stderr)
+        return 1
 
 
 def main() -> int:

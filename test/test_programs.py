@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import errno
 import sys
 from pathlib import Path
 from typing import Any
@@ -87,3 +88,17 @@ def test_shared_files_are_found_and_missing_ones_named() -> None:
     assert (share_file("bags/paper_5x5") / "metadata.yaml").exists()
     with pytest.raises(FileNotFoundError, match=r"nothing\.yaml is in none of"):
         share_file("config/nothing.yaml")
+
+
+def test_a_full_disk_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    full = OSError(errno.ENOSPC, "No space left on device", "/out/panels.txt")
+
+    def replay(arguments: list[str]) -> int:
+        raise full if arguments else OSError(errno.EINVAL, "a defect")
+
+    monkeypatch.setattr("elevator_rectify.recordings.replay.main", replay)
+    assert programs.run("replay", ["replay", "bag"]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "/out/panels.txt: No space left" in said
+    with pytest.raises(OSError, match="defect"):
+        programs.run("replay", ["replay"])

@@ -126,6 +126,10 @@ def test_what_is_no_bag_is_said(tmp_path: Path) -> None:
         bag_topics(tmp_path / "nothing_here")
     with bag_writer(tmp_path / "bag"):
         pass
+    shutil.copytree(PAPER_BAG, tmp_path / "cut")
+    (tmp_path / "cut" / "metadata.yaml").unlink()
+    with pytest.raises(BadBag, match="ros2 bag reindex"):
+        bag_topics(tmp_path / "cut")
     with pytest.raises(BadBag, match="exists"), bag_writer(tmp_path / "bag"):
         pass
 

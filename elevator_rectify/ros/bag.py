@@ -20,6 +20,8 @@ TYPESTORE.register({k: v for name, text in DEFINITIONS.items() for k, v in get_t
 make_bag_message = MakeRosbags(TYPESTORE)
 # 9 does not play on Humble.
 _VERSION: Literal[8] = 8
+# Suffixes of the files that hold a bag's messages.
+_STORED = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 class BadBag(ValueError):
@@ -133,6 +135,8 @@ def _typestore(connection: Connection) -> Any:
 def _opened(path: Path) -> Iterator[Reader]:
     if path.suffix == ".bag" or (path.is_file() and path.open("rb").read(9) == b"#ROSBAG V"):
         raise BadBag(f"{path} is a bag of ROS 1: convert it, rosbags-convert --src {path} --dst FOLDER")
+    if path.is_dir() and not (path / "metadata.yaml").exists() and any(path.glob(f"*{kind}") for kind in _STORED):
+        raise BadBag(f"{path} has no metadata.yaml, its recording was cut off: ros2 bag reindex {path} may mend it")
     try:
         reader = Reader(path)
         reader.open()
