@@ -89,7 +89,7 @@ def _check_plausible(camera: Camera, topic: str, name: str) -> None:
     if camera.model == "equidistant":
         return
     focal = camera.matrix[[0, 1], [0, 1]]
-    view = np.rad2deg(2.0 * np.arctan(size.max() / 2.0 / focal))
+    view = np.rad2deg(2.0 * np.arctan2(size.max() / 2.0, focal))
     if not ((view > _NARROWEST_DEG) & (view < _WIDEST_DEG)).all():
         meaning = f"gives a field of view of {view.max():.0f} degrees: of another resolution, or not calibrated?"
         raise BadMessage(topic, f"{name}: focal lengths", focal.round(2).tolist(), meaning)
