@@ -13,6 +13,7 @@ from elevator_rectify.core.lattice.hypotheses import (
     nearest_nodes,
 )
 from elevator_rectify.core.lattice.refinement import Poses, jacobians, mirrored, poses_from_maps, projected, stepped
+from elevator_rectify.core.result import judged, layout_of
 from elevator_rectify.core.types import IntArray
 from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.levels import LEVELS, random_scene
@@ -272,6 +273,16 @@ def test_a_crowd_is_no_panel() -> None:
     for seed in range(3):
         points = np.random.default_rng(seed).uniform(-100, 800, (10_000, 2))
         assert not fit_panel(points, CAMERA).ok
+
+
+@pytest.mark.parametrize("rows", [[0.0, 1, 2, 1.54], [0.0, 1, 1.2, 2]])
+def test_rows_out_of_order_or_nearer_than_a_button_are_no_panel(rows: list[float]) -> None:
+    truth = scene(3, rows=4, columns=3)
+    fit = fit_panel(truth.detections, truth.camera)
+    layout = layout_of(fit)
+    wrong = replace(fit, row_positions=np.array(rows))
+    assert fit.ok and judged(fit, layout, truth.camera, Config(), 0.0).ok
+    assert judged(wrong, layout, truth.camera, Config(), 0.0).status == "no_lattice"
 
 
 def test_a_lattice_as_fine_as_the_noise_is_refused() -> None:

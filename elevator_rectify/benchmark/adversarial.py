@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.benchmark.figures import Figures
-from elevator_rectify.benchmark.negatives import curves, overlapping
+from elevator_rectify.benchmark.negatives import boxed, curves, overlapping
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Config, fit_panel
@@ -111,7 +111,7 @@ def _placed(points: Array, rng: Rng) -> Array:
 
 
 def _corner_of_walls(rng: Rng) -> Array:
-    """A lattice over an inside corner: its right half recedes."""
+    """A lattice over an inside corner: its right half recedes. With the boxes' sizes (M, 4)."""
     points = _grid(rng, (3, 6), (4, 7))
     beyond = points[:, 0] > points[:, 0].max() / 2
     angle = np.deg2rad(rng.uniform(40, 80))
@@ -119,7 +119,9 @@ def _corner_of_walls(rng: Rng) -> Array:
     depth = np.where(beyond, 8.0 - np.sin(angle) * fold, 8.0)
     x = np.where(beyond, points[:, 0].max() / 2 + np.cos(angle) * fold, points[:, 0])
     seen = np.column_stack([x - x.mean(), points[:, 1] - points[:, 1].mean()]) / depth[:, None]
-    return np.asarray(seen * 320 + np.array([320.0, 240.0]) + rng.normal(0, 1.0, points.shape))
+    at = seen * 320 + np.array([320.0, 240.0]) + rng.normal(0, 1.0, points.shape)
+    size = 0.6 * 320 / depth[:, None] * np.column_stack([np.where(beyond, np.cos(angle), 1.0), np.ones(len(at))])
+    return np.column_stack([at, size * np.exp(rng.normal(0, 0.06, at.shape))])
 
 
 def _sheared(rng: Rng) -> Array:
@@ -216,11 +218,25 @@ def judged_against(fit: GridFit, scene: Scene) -> Outcome:
 
 
 def run_unpictured(task: tuple[str, int, int]) -> Outcome:
-    """Fit a set that is no panel; without truth an accepted one that does not face the camera, as it was drawn, is
-    wrong."""
-    kind, seed, number = task
-    points = UNPICTURED[kind](np.random.default_rng([seed, number, len(kind)]))
-    fit = fit_panel(points, paper_camera(), _CONFIG)
+    """Fit the centres of a set that is no panel: (kind, seed, number)."""
+    detections = _no_panel(*task)
+    return _facing(np.array([[d.x_px, d.y_px] for d in detections]))
+
+
+def run_boxed(task: tuple[str, int, int]) -> Outcome:
+    """Fit the boxes of a set that is no panel: (kind, seed, number)."""
+    return _facing(_no_panel(*task))
+
+
+def _no_panel(kind: str, seed: int, number: int) -> list[Detection]:
+    rng = np.random.default_rng([seed, number, len(kind)])
+    points = UNPICTURED[kind](rng)
+    return boxed(points, rng) if points.shape[1] == 2 else [Detection(x, y, w, h) for x, y, w, h in points.tolist()]
+
+
+def _facing(detections: Array | list[Detection]) -> Outcome:
+    """Without truth an accepted fit that does not face the camera, as the set was drawn, is wrong."""
+    fit = fit_panel(detections, paper_camera(), _CONFIG)
     turned = float(np.rad2deg(np.arccos(min(1.0, abs(fit.R_camera_panel[2, 2]))))) if fit.ok else 0.0
     return Outcome(fit.ok, fit.ok and turned > 2.0 * _WRONG_DEG, fit.ok and turned > 2.0 * _GRAVE_DEG)
 
@@ -239,23 +255,25 @@ HEADER = f"{'':<22}{'sets':>6}{'accepted %':>11}{'wrong %':>9}{'95 % bounds':>14
 
 def adversarial_table(sets: int, seed: int, figures: Figures) -> str:
     """Return the table of `sets` sets in all."""
-    each = max(1, sets // (len(PICTURED) + len(UNPICTURED)))
+    each = max(1, sets // (len(PICTURED) + 2 * len(UNPICTURED)))
     lines = ["boxes that are not the picture's, with the picture", HEADER]
-    lines += [_line(kind, True, each, seed, figures) for kind in PICTURED]
-    lines += [
-        "",
-        "lattices that are no panels, from the centres alone; wrong: not facing the camera, as they do",
-        HEADER,
-    ]
-    lines += [_line(kind, False, each, seed, figures) for kind in UNPICTURED]
+    lines += [_line(kind, "", run_pictured, each, seed, figures) for kind in PICTURED]
+    for title, run in (("centres", run_unpictured), ("boxes", run_boxed)):
+        lines += [
+            "",
+            f"lattices that are no panels, from the {title} alone; wrong: not facing the camera, as they do",
+            HEADER,
+        ]
+        lines += [_line(kind, f"{title} ", run, each, seed, figures) for kind in UNPICTURED]
     return "\n".join(lines)
 
 
-def _line(kind: str, with_picture: bool, each: int, seed: int, figures: Figures) -> str:
-    run = run_pictured if with_picture else run_unpictured
+def _line(
+    kind: str, of: str, run: Callable[[tuple[str, int, int]], Outcome], each: int, seed: int, figures: Figures
+) -> str:
     results = parallel(run, [(kind, seed, k) for k in range(each)], kind)
     accepted, wrong, grave = (sum(getattr(r, part) for r in results) for part in ("accepted", "wrong", "grave"))
-    figures.share(f"adversarial, {kind}, wrong-", wrong, each)
+    figures.share(f"adversarial, {of}{kind}, wrong-", wrong, each)
     low, high = wilson(wrong, each)
     bounds = f"{100 * low:.1f} to {100 * high:.1f}"
     return f"{kind:<22}{each:>6}{100 * accepted / each:>11.1f}{100 * wrong / each:>9.2f}{bounds:>14}{grave:>11}"

@@ -8,7 +8,7 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
-from elevator_rectify.core.types import Array
+from elevator_rectify.core.types import Array, Detection
 from elevator_rectify.render.scene import paper_camera
 
 # Both lattices face the camera; noise turns the pose by less than this.
@@ -79,6 +79,14 @@ def run_overlapping(seed: int, number: int) -> bool:
     """Tell whether a fit to two overlapping lattices was accepted with a pose that neither of them has."""
     fit = fit_panel(overlapping(np.random.default_rng([seed, number])), paper_camera(), Config())
     return fit.ok and rotation_angle_rad(fit.R_camera_panel) > _WRONG_RAD
+
+
+def boxed(points: Array, rng: np.random.Generator) -> list[Detection]:
+    """Return boxes about points (N, 2) px, all of one size but for a detector's errors."""
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.diag(np.full(len(points), np.inf))
+    usual = rng.uniform(0.4, 0.8) * float(np.median(apart.min(axis=1)))
+    sizes = usual * np.exp(rng.normal(0.0, 0.06, (len(points), 2)))
+    return [Detection(float(x), float(y), float(w), float(h)) for (x, y), (w, h) in zip(points, sizes, strict=True)]
 
 
 def run_negative(kind: str, seed: int, number: int) -> GridFit:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from elevator_rectify.benchmark.negatives import KINDS
+from elevator_rectify.benchmark.negatives import KINDS, boxed
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
@@ -34,7 +34,7 @@ from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene, paper_camera
 
 # Of standardised features, an example; real panels are few, and alike among themselves.
-_RIDGE, _REAL_RIDGE = 0.0006, 0.003
+_RIDGE, _REAL_RIDGE = 0.0006, 0.01
 # Few pictures in a robot's life are as bad as the worst level.
 _WEIGHTS = {"extreme": 0.5}
 _LEVELS = ("easy", "medium", "hard", "extreme", "gaps", *4 * ["wild"])
@@ -62,18 +62,22 @@ def examples(task: tuple[str, int, int]) -> list[Example]:
     """Return the example of one draw: (level or kind of negative, seed, number)."""
     kind, seed, number = task
     camera, scene = paper_camera(), None
+    detections: Array | Sequence[Detection]
     if kind in KINDS:
-        points = KINDS[kind](np.random.default_rng([seed, number, 99]))
+        rng = np.random.default_rng([seed, number, 99])
+        detections = boxed(KINDS[kind](rng), rng)
     else:
         scene = random_scene(LEVELS[kind], seed, number)
-        points = scene.centres_px
-    usable, sigma, refused = admitted(points, camera, _CONFIG)
+        detections = scene.detections
+    # Every second one as a detector that says no sizes gives it.
+    detections = detections if number % 2 else np.array([[d.x_px, d.y_px] for d in detections])
+    usable, sigma, refused = admitted(detections, camera, _CONFIG)
     if refused is not None:
         return []
     best = best_attempt(usable, camera, sigma, _CONFIG)
     if best.fit is None or not np.isfinite(best.result.covariance).all():
         return []
-    x = features(best.fit.best, best.fit.margin, sigma, best.result)
+    x = features(best.fit.best, best.fit.margin, sigma, best.result, usable, camera)
     weight = _WEIGHTS.get(kind, 1.0)
     if scene is None:
         return [Example(x, False, float("nan"), weight)]
@@ -107,7 +111,8 @@ def _searched(given: Pictured, scene: Scene | None, usable: Usable, sigma: float
     """Return an example of every search that finds a fit, and another pose of it."""
     found = []
     for attempt, fit in searched(usable, sigma, Photo(given.image, given.scene.camera)):
-        x, right, d2 = picture_fit.picture_features(fit, attempt.result, usable, sigma), False, float("nan")
+        x = picture_fit.picture_features(fit, attempt.result, usable, sigma, given.scene.camera)
+        right, d2 = False, float("nan")
         if scene is not None:
             trial = judged(scene, fit.result, 0.0)
             right = trial.cells >= RIGHT_CELLS and as_stated(trial.error_deg, fit.result.covariance, _RIGHT_DEG)

@@ -136,11 +136,11 @@ def _examples(detections: list[Detection], photo: Photo, truth: FitResult | None
     best = best_attempt(usable, photo.camera, sigma, _CONFIG)
     # The boxes of another picture may be right by themselves.
     if truth is not None and best.fit is not None and np.isfinite(best.result.covariance).all():
-        x = features(best.fit.best, best.fit.margin, sigma, best.result)
+        x = features(best.fit.best, best.fit.margin, sigma, best.result, usable, photo.camera)
         found.append(RealExample(False, x, _right(best.result, truth)))
     for attempt, fit in searched(usable, sigma, photo):
         right = _right(fit.result, truth)
-        found.append(RealExample(True, picture_features(fit, attempt.result, usable, sigma), right))
+        found.append(RealExample(True, picture_features(fit, attempt.result, usable, sigma, photo.camera), right))
         if right and attempt.result.ok:
             break
     return found

@@ -45,7 +45,7 @@ class Attempt:
     @property
     def likelihood(self) -> float:
         """Return the log likelihood of the detections."""
-        return -np.inf if self.fit is None else self.fit.best.log_likelihood
+        return -np.inf if self.fit is None else self.fit.best.support
 
     @property
     def rank(self) -> tuple[float, float, float]:
@@ -84,7 +84,7 @@ def attempts(
     area = camera.width * camera.height / camera.focal_px**2
     photo = None if image is None else Photo(image, camera)
     for hypotheses, enough in _widths(config.hypotheses, len(rays)):
-        fit = fit_joint(rays, sigma, area, replace(config, hypotheses=hypotheses))
+        fit = fit_joint(rays, usable.log_sizes, sigma, area, replace(config, hypotheses=hypotheses))
         if fit is not None:
             other = turned(fit.other, R_upright_camera.T) if fit.other else None
             fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
@@ -105,7 +105,7 @@ def tracked(
     share = previous.inliers / max(1, len(previous.cells))
     area = camera.width * camera.height / camera.focal_px**2
     last = turned(layout_of(previous), R_upright_camera)
-    fit = track_joint(last, share, usable.rays @ R_upright_camera[:2, :2].T, sigma, area, config)
+    fit = track_joint(last, share, usable.rays @ R_upright_camera[:2, :2].T, usable.log_sizes, sigma, area, config)
     if fit is None:
         return None
     moved = JointFit(turned(fit, R_upright_camera.T), None, previous.margin_nats)

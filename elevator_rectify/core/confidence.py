@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from elevator_rectify.core.config import AcceptConfig
+from elevator_rectify.core.detections import Usable
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.lattice import sizes
 from elevator_rectify.core.lattice.layout import LayoutFit
 from elevator_rectify.core.types import Array, FitResult
 
@@ -31,6 +34,7 @@ FEATURES = (
     "ln cells",
     "nats",
     "ln detections",
+    *sizes.FEATURES,
 )
 _MARGIN_NATS = 15.0
 _NATS = 50.0
@@ -97,7 +101,7 @@ def rotation_std_rad(covariance: Array) -> float:
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
 
 
-def features(fit: LayoutFit, margin: float, sigma: float, found: FitResult) -> Array:
+def features(fit: LayoutFit, margin: float, sigma: float, found: FitResult, usable: Usable, camera: Camera) -> Array:
     """Return what the confidence of a joint fit is computed from, in the order of FEATURES."""
     inliers = float((fit.inlier > 0.5).sum())
     layout = fit.layout
@@ -125,6 +129,7 @@ def features(fit: LayoutFit, margin: float, sigma: float, found: FitResult) -> A
             np.log(lines[0] * lines[1]),
             fit.log_likelihood / _NATS,
             np.log(len(fit.inlier)),
+            *sizes.size_features(found, usable.index, usable.telling_sizes_px, camera),
         ]
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from elevator_rectify.core.types import Array, Detection, IntArray
 
 # A button at the border may be detected this far beyond it, in image sizes.
 _OUTSIDE = 0.01
+# Boxes that differ by less than this share of their size are a detector's constant.
+_ALIKE = 0.005
 # Irrational numbers: fractions of a weighted sum of coordinates are spread evenly.
 _SCATTER_X, _SCATTER_Y = 0.5 * (np.sqrt(5.0) - 1.0), np.sqrt(2.0)
 
@@ -26,6 +29,20 @@ class Usable:
     rays: Array
     sizes_px: Array
     dropped: dict[str, int]
+
+    @cached_property
+    def telling_sizes_px(self) -> Array:
+        """Return the sizes (M, 2), 0 where they are unknown, or one and the same for all boxes, which says nothing."""
+        known = self.sizes_px[(self.sizes_px > 0).all(axis=1)]
+        alike = not len(known) or bool((np.ptp(known, axis=0) < _ALIKE * known.max(axis=0)).all())
+        return np.zeros_like(self.sizes_px) if alike else self.sizes_px
+
+    @cached_property
+    def log_sizes(self) -> Array:
+        """Return (M,) ln of the root of the boxes' area in pixels, NaN where it is unknown or says nothing."""
+        sizes = self.telling_sizes_px
+        known = (sizes > 0).all(axis=1, keepdims=True)
+        return np.asarray(np.log(np.where(known, sizes, np.nan)).mean(axis=1))
 
 
 def as_arrays(detections: Array | Sequence[Detection]) -> tuple[Array, Array, Array]:

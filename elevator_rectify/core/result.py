@@ -29,12 +29,15 @@ from elevator_rectify.core.geometry.pose import (
 from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, pose_at
 from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
+from elevator_rectify.core.lattice.sizes import faces_the_camera
 from elevator_rectify.core.paper.rounds import PaperFit
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
 # A lattice of a finer pitch than so many standard deviations of the detections is near to every point.
 _FINEST_PITCH_SIGMAS = 4.0
 _MOST_IN_A_CELL = 1.5
+# Buttons are larger than this, in pitches: lines do not come nearer, nor in another order.
+_NEAREST_LINES = 0.3
 # A place that is known less well, in pitches, may be the neighbour's.
 _MOST_SIDEWAYS = 0.25
 
@@ -91,12 +94,15 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
     if fit is None:
         return found
     best = _layout_result(fit.best, found, usable, camera, config)
-    score = logistic_confidence(features(fit.best, fit.margin, sigma, best), COEFFICIENTS)
+    score = logistic_confidence(features(fit.best, fit.margin, sigma, best, usable, camera), COEFFICIENTS)
     best = replace(best, confidence=score, margin_nats=fit.margin)
     if fit.other is not None and fit.margin < config.joint.ambiguity_nats:
         other = _layout_result(fit.other, found, usable, camera, config)
         reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
         return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
+    if faces_the_camera(best, usable.index, usable.telling_sizes_px, camera):
+        reason = "the boxes' sizes do not change over the panel as the tilt would have it that their places ask for"
+        return replace(best, status="no_lattice", reason=reason)
     return judged(best, fit.best, camera, config, config.accept.min_confidence)
 
 
@@ -138,6 +144,9 @@ def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
     pitch_px, sigma_px = min(float(np.nanmedian(step)) for step in steps), fit.sigma * camera.focal_px
     if not pitch_px >= _FINEST_PITCH_SIGMAS * sigma_px:
         return f"a pitch of {pitch_px:.1f} px fits any detections that are known to {sigma_px:.1f} px"
+    apart = min(np.diff(lines).min(initial=np.inf) for lines in (found.row_positions, found.column_positions))
+    if not apart > _NEAREST_LINES:
+        return f"two rows or columns are {apart:.2f} pitches apart, less than a button"
     on = fit.node[fit.inlier > 0.5]
     shared = len(on) / max(1, len(np.unique(on)))
     return f"{shared:.1f} detections in every filled cell" if shared > _MOST_IN_A_CELL else ""
@@ -145,7 +154,7 @@ def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
 
 def _layout_result(fit: LayoutFit, found: FitResult, usable: Usable, camera: Camera, config: Config) -> FitResult:
     """Return the geometry of a fit to detections."""
-    pose, covariance = pose_at(fit, usable.rays, fit.layout.nodes[0, 0], config.joint)
+    pose, covariance = pose_at(fit, usable.rays, fit.layout.nodes[0, 0], config.joint, log_sizes=usable.log_sizes)
     return layout_result(fit, pose, covariance * config.accept.covariance_scale, found, usable, camera, config)
 
 

@@ -54,10 +54,11 @@ class JointFit:
     margin: float
 
 
-def fit_joint(rays: Array, sigma: float, area: float, config: Config) -> JointFit | None:
+def fit_joint(rays: Array, log_sizes: Array, sigma: float, area: float, config: Config) -> JointFit | None:
     """Fit points (N, 2) in the normalised plane, with standard deviation sigma, in an image of this area.
 
-    Returns None where no hypothesis has two rows and two columns.
+    log_sizes: (N,) ln of the root of the boxes' area, in any unit, NaN where unknown. Returns None where no hypothesis
+    has two rows and two columns.
     """
     layouts = _regular_layouts(rays, sigma, area, config)
     if len(rays) <= _FEW_POINTS and max((_explained(f) for f in layouts), default=0.0) < _EXPLAINED:
@@ -65,10 +66,11 @@ def fit_joint(rays: Array, sigma: float, area: float, config: Config) -> JointFi
         layouts += [f for f in fits if f is not None]
     if not layouts:
         return None
-    layouts.sort(key=lambda f: -f.log_likelihood)
+    layouts = [refine_layout(f, rays, sigma, area, config.joint, log_sizes=log_sizes) for f in layouts]
+    layouts.sort(key=lambda f: -f.support)
     best = layouts[0]
     other = next((f for f in layouts[1:] if pose_angle(f, best) > OTHER_POSE_RAD), None)
-    return JointFit(best, other, best.log_likelihood - other.log_likelihood if other else np.inf)
+    return JointFit(best, other, best.support - other.support if other else np.inf)
 
 
 def _explained(fit: LayoutFit) -> float:
@@ -88,7 +90,7 @@ def _regular_layouts(rays: Array, sigma: float, area: float, config: Config) -> 
 
 
 def track_joint(
-    previous: LayoutFit, share: float, rays: Array, sigma: float, area: float, config: Config
+    previous: LayoutFit, share: float, rays: Array, log_sizes: Array, sigma: float, area: float, config: Config
 ) -> LayoutFit | None:
     """Fit the previous pose and layout to new points; None where they do not explain them as well as they did.
 
@@ -97,7 +99,7 @@ def track_joint(
     joint = config.joint
     fit = evaluate(previous.pose, previous.layout, rays, 6.0 * sigma, area, joint)
     fit = refine_layout(fit, rays, 2.0 * sigma, area, joint, steps=2)
-    fit = refine_layout(fit, rays, sigma, area, joint, steps=3)
+    fit = refine_layout(fit, rays, sigma, area, joint, steps=3, log_sizes=log_sizes)
     if fit.layout.row_breaks or fit.layout.column_breaks:
         fit = evaluate(fit.pose, without_empty_blocks(fit), rays, sigma, area, joint)
     filled = len(np.unique(fit.node[fit.inlier > 0.5])) / fit.layout.cells

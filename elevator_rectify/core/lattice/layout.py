@@ -23,6 +23,7 @@ from elevator_rectify.core.lattice.refinement import (
     projected,
     stepped,
 )
+from elevator_rectify.core.lattice.sizes import size_information, size_nats
 from elevator_rectify.core.types import Array, IntArray
 
 _STEPS = 5
@@ -65,7 +66,8 @@ class Layout:
 
 @dataclass(frozen=True)
 class LayoutFit:
-    """A pose (batch of one) with its layout; node (N,) index of each detection's nearest node, inlier (N,) in 0..1."""
+    """A pose (batch of one) with its layout; node (N,) index of each detection's nearest node, inlier (N,) in 0..1;
+    size_nats: what the boxes' sizes add to the log likelihood of the places."""
 
     pose: Poses
     layout: Layout
@@ -73,6 +75,12 @@ class LayoutFit:
     inlier: Array
     sigma: float
     log_likelihood: float
+    size_nats: float = 0.0
+
+    @property
+    def support(self) -> float:
+        """Return the log likelihood of the detections' places and sizes."""
+        return self.log_likelihood + self.size_nats
 
     @property
     def cells(self) -> IntArray:
@@ -122,6 +130,20 @@ def design(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
     return rays - x[0], np.concatenate([J[0], *[e[..., None] for e in extra]], axis=-1), d_uv[0]
 
 
+def depths(fit: LayoutFit) -> tuple[Array, Array]:
+    """Return the depth (N,) of each detection's node and its derivative (N, 7 + breaks) as `design` orders it."""
+    lattice = fit.layout.nodes.reshape(-1, 2)[fit.node]
+    _, arm, depth = projected(fit.pose, lattice[None])
+    along, down = fit.pose.R[0, 2, 0], fit.pose.R[0, 2, 1] * np.exp(fit.pose.log_aspect[0])
+    row, column = np.divmod(fit.node, len(fit.layout.columns))
+    zero = np.zeros(len(lattice))
+    first = [zero, zero, zero + 1.0, arm[0, :, 1], -arm[0, :, 0], zero]
+    first.append(down * (lattice[:, 1] - fit.pose.centre[0, 1]))
+    extra = [down * (row >= b) for b in fit.layout.row_breaks]
+    extra += [along * (column >= b) for b in fit.layout.column_breaks]
+    return np.maximum(depth[0], 1e-6), np.column_stack([*first, *extra])
+
+
 def information(J: Array, weights: Array, sigma: float, config: JointConfig) -> Array:
     """Return J' W J / sigma^2 with the aspect's prior."""
     flat = J.reshape(-1, J.shape[-1])
@@ -131,19 +153,28 @@ def information(J: Array, weights: Array, sigma: float, config: JointConfig) -> 
 
 
 def refine_layout(
-    fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig, steps: int = _STEPS
+    fit: LayoutFit,
+    rays: Array,
+    sigma: float,
+    area: float,
+    config: JointConfig,
+    steps: int = _STEPS,
+    log_sizes: Array | None = None,
 ) -> LayoutFit:
-    """Alternate responsibilities and Gauss-Newton steps on pose and breaks."""
+    """Alternate responsibilities and Gauss-Newton steps on pose and breaks; by the boxes' sizes, too, if given."""
     for _ in range(steps):
         error, J, _ = design(fit, rays)
         normal = information(J, fit.inlier, fit.sigma, config)
         gradient = np.einsum("nij,ni,n->j", J, error, fit.inlier) / fit.sigma**2
         gradient[6] -= fit.pose.log_aspect[0] / config.log_aspect_std**2
+        if log_sizes is not None:
+            of_sizes, pull = size_information(*depths(fit), log_sizes, fit.inlier)
+            normal, gradient = normal + of_sizes, gradient + pull
         step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
         fit = evaluate(stepped(fit.pose, step[None, :7]), moved(fit.layout, step[7:]), rays, sigma, area, config)
         if np.abs(step).max() < _SETTLED:
             break
-    return fit
+    return fit if log_sizes is None else replace(fit, size_nats=size_nats(depths(fit)[0], log_sizes, fit.inlier))
 
 
 def moved(layout: Layout, steps: Array) -> Layout:
@@ -179,14 +210,19 @@ def _kept(number: int, breaks: tuple[int, ...], filled: IntArray) -> tuple[slice
 
 
 def pose_at(
-    fit: LayoutFit, rays: Array, node: Array, config: JointConfig, weights: Array | None = None
+    fit: LayoutFit,
+    rays: Array,
+    node: Array,
+    config: JointConfig,
+    weights: Array | None = None,
+    log_sizes: Array | None = None,
 ) -> tuple[LatticePose, Array]:
     """Return the pose with its origin at a lattice point (2,), and the covariance of (t, rotation, ln aspect, breaks)
     there, (7 + B, 7 + B).
 
     rays: (N, 2) of what the fit's nodes were fitted to; weights: (N, 2, 2) the information of each, by default that of
-    detections. `node` must lie before every break. An error of the
-    focal length scales all rays; its part is the fit's linear response to that.
+    detections; log_sizes: (N,) of the boxes, where they were fitted to them too. `node` must lie before every break.
+    An error of the focal length scales all rays; its part is the fit's linear response to that.
     """
     _, J, _ = design(fit, rays)
     if weights is None:
@@ -194,6 +230,8 @@ def pose_at(
     weighted = np.swapaxes(J, 1, 2) @ weights
     normal = (weighted @ J).sum(axis=0) + 1e-9 * np.eye(J.shape[-1])
     normal[6, 6] += 1.0 / config.log_aspect_std**2
+    if log_sizes is not None:
+        normal += size_information(*depths(fit), log_sizes, fit.inlier)[0]
     inverse = np.linalg.inv(normal)
     response = config.focal_std_share * (inverse @ (weighted @ rays[..., None]).sum(axis=0)[:, 0])
     inverse = inverse + np.outer(response, response)

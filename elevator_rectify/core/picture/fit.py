@@ -12,6 +12,7 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
+from elevator_rectify.core.lattice import sizes
 from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, pose_at
 from elevator_rectify.core.lattice.refinement import jacobians, projected
@@ -45,6 +46,7 @@ FEATURES = (
     "upright edges' share",
     "edges' turn over std",
     "ln rotation std with edges",
+    *sizes.FEATURES,
 )
 # Poses with a margin below are all measured.
 _COMPARED_NATS = 10.0
@@ -90,7 +92,7 @@ def with_picture(
     found = picture_fit(fit, boxes, usable, sigma, photo, config, last)
     if found is None:
         return boxes
-    score = logistic_confidence(picture_features(found, boxes, usable, sigma), COEFFICIENTS)
+    score = logistic_confidence(picture_features(found, boxes, usable, sigma, photo.camera), COEFFICIENTS)
     result = replace(found.result, confidence=score, margin_nats=found.margin)
     if found.other is not None and max(found.margin, fit.margin) < config.joint.ambiguity_nats:
         reason = f"two poses explain the picture, {found.margin:.2g} nats apart"
@@ -239,7 +241,7 @@ def _boxes_apart(measured: MeasuredFit, usable: Usable, sigma: float) -> tuple[f
     return float(np.log(np.clip(each, 0.1, 20.0))), float(np.log(np.clip(together, 0.1, 20.0)))
 
 
-def picture_features(found: PictureFit, boxes: FitResult, usable: Usable, sigma: float) -> Array:
+def picture_features(found: PictureFit, boxes: FitResult, usable: Usable, sigma: float, camera: Camera) -> Array:
     """Return what the confidence of a fit to the picture is computed from, in the order of FEATURES."""
     measured, result = found.measured, found.result
     places, layout = measured.places, measured.fit.layout
@@ -271,5 +273,6 @@ def picture_features(found: PictureFit, boxes: FitResult, usable: Usable, sigma:
             free / number,
             *apart,
             *said,
+            *sizes.size_features(result, usable.index, usable.telling_sizes_px, camera),
         ]
     )

@@ -1,0 +1,127 @@
+"""What the boxes' sizes say of a pose: on the panel buttons are of one size, so boxes shrink with the distance.
+
+Centres alone do not tell a panel with gaps that is seen askew from a trapezoid that faces the camera. A line is fitted
+to ln size over what the pose predicts of it: its slope is 1 where the pose is right, 0 where the panel faces the
+camera.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.types import Array, FitResult, IntArray
+
+FEATURES = ("sizes' slope off over std", "sizes' slope known", "ln width over height", "ln sizes' scatter")
+_FEWEST, _ROUNDS = 4, 4
+# Share of a pitch over which the projection is taken for linear.
+_STEP = 0.05
+# A detector's boxes are not known better, as a share. Boxes with a margin shrink less than their buttons: on real
+# panels the slope is so much less than 1 in the median, and so uncertain.
+_LEAST_SCATTER, _MARGIN_SHARE, _SLOPE_STD = 0.03, 0.1, 0.15
+# Of one box, as a share; a size that is further off, in standard deviations, is of a larger or smaller button.
+_SIZE_STD, _FARTHEST = 0.06, 3.0
+# On real panels no right fit had a slope that was surely less.
+_LEAST_SLOPE = 0.5
+_MOST_STDS, _MOST_RATIO, _USUAL_SCATTER = 5.0, 1.0, 0.05
+
+
+def size_features(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> Array:
+    """Return (4,) what the sizes (M, 2) px of the detections `index` (M,) say of a fit to them, as FEATURES names it.
+
+    Without sizes they say nothing: neither for the pose nor against it.
+    """
+    pairs = _expected_and_seen(fit, index, sizes_px, camera)
+    if pairs is None:
+        return np.array([0.0, 0.0, 0.0, np.log(_USUAL_SCATTER)])
+    expected, seen = pairs
+    slope, std, scatter = _line(expected.mean(axis=1), seen.mean(axis=1))
+    wide = float(np.median((seen - expected) @ np.array([1.0, -1.0])))
+    std = float(np.hypot(std, _SLOPE_STD))
+    off = np.clip((slope - 1.0) / std, -_MOST_STDS, _MOST_STDS)
+    return np.array([off, 1.0 / std, min(abs(wide), _MOST_RATIO), np.log(scatter)])
+
+
+def faces_the_camera(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> bool:
+    """Tell whether the sizes surely do not change as the fit's tilt would have it: a fan or a trapezoid, no panel."""
+    pairs = _expected_and_seen(fit, index, sizes_px, camera)
+    if pairs is None:
+        return False
+    slope, std, _ = _line(pairs[0].mean(axis=1), pairs[1].mean(axis=1))
+    return bool(slope + 2.0 * std < _LEAST_SLOPE)
+
+
+def _expected_and_seen(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> tuple[Array, Array] | None:
+    """Return ln of width and height (K, 2) as the fit predicts them, but for a factor, and as seen; None for few."""
+    on = (fit.cells[index, 0] >= 0) & (sizes_px > 0).all(axis=1)
+    if on.sum() < _FEWEST or not np.isfinite(fit.grid_panel).all():
+        return None
+    cells = fit.cells[index[on]]
+    expected = np.log(disc_sizes_px(fit, fit.grid_panel[cells[:, 0], cells[:, 1]], camera))
+    known = np.isfinite(expected).all(axis=1)
+    return (expected[known], np.log(sizes_px[on])[known]) if known.sum() >= _FEWEST else None
+
+
+def size_nats(depth: Array, log_sizes: Array, inlier: Array) -> float:
+    """Return the log likelihood of the boxes' sizes at depths (N,), less that of sizes which are as the pose predicts.
+
+    log_sizes (N,): ln of the root of the boxes' area, in any unit, NaN for unknown; inlier (N,) in 0..1. A small part
+    of a plane is seen with an area that falls with the cube of its depth.
+    """
+    on = (inlier > 0.5) & np.isfinite(log_sizes)
+    if on.sum() < _FEWEST:
+        return 0.0
+    expected = -1.5 * np.log(depth[on])
+    expected -= np.median(expected)
+    off = log_sizes[on] - (1.0 - _MARGIN_SHARE) * expected
+    off -= np.median(off)
+    variance = _SIZE_STD**2 + (_SLOPE_STD * expected) ** 2
+    return -0.5 * float(np.minimum(off**2 / variance, _FARTHEST**2).sum())
+
+
+def size_information(depth: Array, d_depth: Array, log_sizes: Array, inlier: Array) -> tuple[Array, Array]:
+    """Return information (P, P) and gradient (P,) of what the sizes say of parameters on which the depths (N,) depend
+    by d_depth (N, P): log_sizes = common + slope (-3/2) ln depth, common free and slope known to _SLOPE_STD.
+    """
+    on = (inlier > 0.5) & np.isfinite(log_sizes)
+    number = d_depth.shape[1]
+    if on.sum() < _FEWEST:
+        return np.zeros((number, number)), np.zeros(number)
+    slope = 1.0 - _MARGIN_SHARE
+    expected = -1.5 * np.log(depth[on])
+    expected -= expected.mean()
+    off = log_sizes[on] - slope * expected
+    off -= np.median(off)
+    J = -1.5 * slope * d_depth[on] / depth[on, None]
+    nuisance = np.column_stack([np.ones(int(on.sum())), expected])
+    # Some buttons are larger than the others: what is far off counts little (Geman and McClure).
+    weight = inlier[on] / (1.0 + (off / (_FARTHEST * _SIZE_STD)) ** 2) ** 2 / _SIZE_STD**2
+    weighted, cross = J.T * weight, nuisance.T * weight
+    own = cross @ nuisance + np.diag([0.0, _SLOPE_STD**-2])
+    share = np.linalg.solve(own, cross @ J).T
+    return weighted @ J - share @ (cross @ J), weighted @ off - share @ (cross @ off)
+
+
+def disc_sizes_px(fit: FitResult, places: Array, camera: Camera) -> Array:
+    """Return width and height (K, 2) px of the upright boxes about small discs at places (K, 2) of the panel, all of
+    one size; NaN behind the camera."""
+    step = _STEP * float(fit.pitch[0])
+    near = places[None] + np.array([[0.0, 0.0], [step, 0.0], [0.0, step]])[:, None]
+    px = camera.project(near @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
+    # The box about an ellipse J u, |u| = 1: half its width is the length of J's first row.
+    return np.asarray(np.linalg.norm(px[1:] - px[0], axis=0))
+
+
+def _line(x: Array, y: Array) -> tuple[float, float, float]:
+    """Return slope, its standard deviation and the scatter of a line through points (N,), robustly: some buttons are
+    larger than the others."""
+    weight = np.ones(len(x))
+    for _ in range(_ROUNDS):
+        dx, dy = x - np.average(x, weights=weight), y - np.average(y, weights=weight)
+        spread = max(float((weight * dx**2).sum()), 1e-9)
+        slope = float((weight * dx * dy).sum()) / spread
+        residual = dy - slope * dx
+        usual = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SCATTER)
+        scatter = np.sqrt((weight * residual**2).sum() / max(1.0, weight.sum() - 2.0) + _LEAST_SCATTER**2)
+        weight = 1.0 / (1.0 + (residual / (2.0 * usual)) ** 2)
+    return slope, float(scatter / np.sqrt(spread)), float(scatter)
