@@ -11,7 +11,17 @@ from hypothesis import given as examples
 from hypothesis import strategies as st
 
 from elevator_rectify.benchmark.pictures import pictured
-from elevator_rectify.core import Config, Detection, TargetConfig, find_button, find_panel, fit_panel
+from elevator_rectify.core import (
+    Camera,
+    Config,
+    Detection,
+    MeasurementConfig,
+    TargetConfig,
+    find_button,
+    find_panel,
+    fit_panel,
+    pipeline,
+)
 from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.reading import reader
 from elevator_rectify.core.reading.reader import (
@@ -19,13 +29,14 @@ from elevator_rectify.core.reading.reader import (
     Read,
     is_small,
     labelled,
+    no_buttons,
     quadrangle_logits,
     read_boxes,
     read_in_plane,
     read_patches,
-    read_undetected,
 )
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, SLOTS, SYMBOLS, encoded
+from elevator_rectify.core.types import FitResult, Image
 
 
 @examples(st.text(CHARACTERS, min_size=1, max_size=SLOTS))
@@ -172,9 +183,33 @@ def test_no_button_is_said_only_where_the_panels_buttons_read_as_such(monkeypatc
     camera = given.scene.camera
     kept = [replace(d, label="") for k, d in enumerate(given.scene.detections) if k % 5 != 2]
     fit = fit_panel(kept, camera, image=given.image)
+    assert not fit.undetected and not no_buttons(given.image, camera, fit)
+    assert fit.measurement is not None
+    empty = int(np.isfinite(fit.measurement.correlation).sum()) - len(kept)
     printed, blank = Read((("1", 0.99),), 0.0), Read((), 0.99)
-    assert all(read_undetected(given.image, camera, fit, [printed]).values())
-    monkeypatch.setattr(reader, "_read_quadrangles", lambda image, corners, weights: [blank] * len(corners))
-    assert not any(read_undetected(given.image, camera, fit, [printed]).values())
-    assert all(read_undetected(given.image, camera, fit, [blank]).values())
-    assert all(read_undetected(given.image, camera, fit, []).values())
+    for usual, found in ((printed, empty), (blank, 0)):
+        said = [blank] * empty + [usual] * len(kept)
+        monkeypatch.setattr(reader, "_read_quadrangles", lambda image, corners, weights, r=said: r[: len(corners)])
+        assert len(no_buttons(given.image, camera, fit)) == found
+
+
+def test_what_is_no_button_is_asked_once_while_the_grid_is_tracked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Labels of the detector's own do not spare the empty cells the question."""
+    given = pictured("easy", 60, 4, held_out=True)
+    kept = [replace(d, label="1") for k, d in enumerate(given.scene.detections) if k % 5 != 2]
+    asked: list[FitResult] = []
+
+    def none(image: Image, camera: Camera, fit: FitResult) -> set[tuple[int, int]]:
+        asked.append(fit)
+        assert fit.measurement is not None
+        return {(int(r), int(c)) for r, c in np.argwhere(np.isfinite(fit.measurement.correlation))} - {
+            (int(r), int(c)) for r, c in fit.cells
+        }
+
+    monkeypatch.setattr(pipeline, "no_buttons", none)
+    first = fit_panel(kept, given.scene.camera, image=given.image)
+    second = fit_panel(kept, given.scene.camera, previous=first, image=given.image)
+    assert len(asked) == 1 and first.undetected and second.undetected == first.undetected
+    assert not [b for b in second.buttons if b.state == "inferred" and (b.row, b.column) in first.undetected]
+    alone = fit_panel(kept, given.scene.camera, Config(measurement=MeasurementConfig(witness=False)), image=given.image)
+    assert len(asked) == 1 and not alone.undetected

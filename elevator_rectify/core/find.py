@@ -29,12 +29,12 @@ def with_labels(fit: GridFit, image: Image, camera: Camera) -> GridFit:
 
     Buttons that the picture shows and nobody detected are read, too.
     """
+    fit = read_undetected(image, camera, fit)
     sizes = _have_sizes(fit.detections) or (fit.ok and fit.measurement is not None)
     if not fit.detections or all(d.label for d in fit.detections) or not sizes:
         return fit
     reads = read_in_plane(image, camera, fit) if fit.ok else read_boxes(image, fit.detections)
-    undetected = read_undetected(image, camera, fit, reads)
-    return replace(fit, detections=labelled(fit.detections, reads), undetected=undetected)
+    return replace(fit, detections=labelled(fit.detections, reads))
 
 
 def _have_sizes(detections: Sequence[Detection]) -> bool:

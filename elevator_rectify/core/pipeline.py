@@ -15,10 +15,13 @@ from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
 from elevator_rectify.core.picture.witness import contradicted, second_opinion
 from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.reading.reader import no_buttons
 from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, FitResult, Image
 
 DEFAULT_CONFIG = Config()
+# The grid of the frame before is the same one where its origin has moved by less than so many pitches since.
+_STAYED = 0.5
 
 
 def fit_panel(
@@ -39,7 +42,31 @@ def fit_panel(
     if image is not None and (image.dtype != np.uint8 or image.shape[:2] != (camera.height, camera.width)):
         size = f"{camera.width} x {camera.height}"
         raise ValueError(f"image must be uint8 of the camera's {size}, not {image.dtype} of shape {image.shape}")
-    return GridFit.of(_fit(detections, camera, config, previous, image), detections=_as_given(detections))
+    fit = _fit(detections, camera, config, previous, image)
+    if image is not None and config.measurement.witness:
+        fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))
+    return GridFit.of(fit, detections=_as_given(detections))
+
+
+def _no_buttons(
+    fit: FitResult, camera: Camera, previous: FitResult | None, image: Image
+) -> dict[tuple[int, int], Detection | None]:
+    """Return the cells that look like the buttons to the template, but to our own reader like none."""
+    if previous is not None and previous.ok and _same_grid(fit, previous):
+        # What is no button stays none; what was one in the frame before is not asked again.
+        return {cell: None for cell, button in previous.undetected.items() if button is None}
+    return dict.fromkeys(no_buttons(image, camera, fit))
+
+
+def _same_grid(fit: FitResult, previous: FitResult) -> bool:
+    """Tell whether the cells are the previous frame's, and nothing was seen in them that was not seen then."""
+    if not fit.ok or (fit.rows, fit.columns) != (previous.rows, previous.columns):
+        return False
+    if fit.measurement is None or previous.measurement is None:
+        return False
+    new = np.isfinite(fit.measurement.correlation) & ~np.isfinite(previous.measurement.correlation)
+    moved = float(np.linalg.norm(fit.t_camera_panel - previous.t_camera_panel))
+    return not new.any() and moved < _STAYED * float(fit.pitch.min())
 
 
 def _fit(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
-from elevator_rectify.core.types import Array, Detection, FitResult, Image
+from elevator_rectify.core.types import Array, Detection, FitResult, FitT, Image
 
 WEIGHTS = Path(__file__).with_name("reader.onnx")
 # Side of a patch, and what it shows over the box; the network looks at the whole and, closer, at the middle.
@@ -30,6 +30,8 @@ _LARGE_PX = 20.0
 SHARPEST = 1.6
 # What is read as no button with so much is none, on a panel whose buttons are usually read as such with less.
 _NO_BUTTON, _USUAL_OTHER = 0.8, 0.5
+# So many buttons tell what is usual on a panel.
+_SAMPLE = 8
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
 _MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
 # Written by `calibrate --reader`: the temperatures that soften the network's certainty.
@@ -145,29 +147,58 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = 
     return _read_quadrangles(image, corners, weights)
 
 
-def read_undetected(
-    image: Image, camera: Camera, fit: FitResult, detected: Sequence[Read], weights: Path = WEIGHTS
-) -> dict[tuple[int, int], Detection | None]:
-    """Return, by cell, the buttons that the picture shows where nothing was detected, read as `read_in_plane` does.
+def no_buttons(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> set[tuple[int, int]]:
+    """Return the cells in which the picture shows something like the buttons, nothing was detected, and the reader
+    sees no button: a display, a keyhole, bare metal."""
+    cells = _undetected_cells(fit)
+    detected = sorted({(int(row), int(column)) for row, column in fit.cells if row >= 0})
+    # Some of the buttons, from all over the panel.
+    sample = detected[:: max(1, -(-len(detected) // _SAMPLE))]
+    if not cells or not sample:
+        return set()
+    other = [read.other for read in _read_cells(image, camera, fit, [*cells, *sample], weights)]
+    # Buttons without print are read as no buttons, too: then nothing can be said.
+    if not float(np.median(other[len(cells) :])) < _USUAL_OTHER:
+        return set()
+    return {cell for cell, o in zip(cells, other, strict=False) if o > _NO_BUTTON}
 
-    None for a cell that is read as no button (a display, a keyhole, bare metal), unlike the `detected` ones.
-    """
+
+def read_undetected(image: Image, camera: Camera, fit: FitT, weights: Path = WEIGHTS) -> FitT:
+    """Return the fit with the buttons that the picture shows and nobody detected, as they are read."""
+    cells = [cell for cell in _undetected_cells(fit) if cell not in fit.undetected]
+    if not cells or fit.measurement is None:
+        return fit
+    boxes = []
+    for cell in cells:
+        width, height = np.ptp(_cell_corners_px(fit, camera, cell), axis=0) / MARGIN
+        x, y = fit.measurement.centre_px[cell]
+        boxes.append(Detection(float(x), float(y), float(width), float(height)))
+    reads = _read_cells(image, camera, fit, cells, weights)
+    return replace(fit, undetected={**fit.undetected, **dict(zip(cells, labelled(boxes, reads), strict=True))})
+
+
+def _undetected_cells(fit: FitResult) -> list[tuple[int, int]]:
+    """Return the cells of an accepted fit in which the picture shows a button and nothing was detected."""
     if not fit.ok or fit.measurement is None:
-        return {}
+        return []
     empty = np.isfinite(fit.measurement.correlation)
     empty[tuple(fit.cells[fit.cells[:, 0] >= 0].T)] = False
-    cells = [(int(row), int(column)) for row, column in np.argwhere(empty)]
-    centre = [fit.measurement.centre_px[cell] for cell in cells]
-    rays = camera.rays(np.array(centre).reshape(-1, 2))
-    corners = [_corners_px(fit, camera, _on_panel(fit, ray), 2.0 * fit.measurement.half_size) for ray in rays]
-    reads = _read_quadrangles(image, corners, weights)
-    extent = [np.ptp(c, axis=0) / MARGIN for c in corners]
-    boxes = [Detection(float(x), float(y), float(w), float(h)) for (x, y), (w, h) in zip(centre, extent, strict=True)]
-    # Buttons without print are read as no buttons, too: then nothing can be said.
-    tells = bool(detected) and float(np.median([r.other for r in detected])) < _USUAL_OTHER
-    none = [tells and r.other > _NO_BUTTON for r in reads]
-    found = zip(cells, labelled(boxes, reads), none, strict=True)
-    return {cell: None if no_button else button for cell, button, no_button in found}
+    return [(int(row), int(column)) for row, column in np.argwhere(empty)]
+
+
+def _read_cells(
+    image: Image, camera: Camera, fit: FitResult, cells: Sequence[tuple[int, int]], weights: Path
+) -> list[Read]:
+    return _read_quadrangles(image, [_cell_corners_px(fit, camera, cell) for cell in cells], weights)
+
+
+def _cell_corners_px(fit: FitResult, camera: Camera, cell: tuple[int, int]) -> Array:
+    """Return the corners (4, 2) of the button that the picture shows in a cell, or that would be there."""
+    if fit.measurement is None:
+        return np.full((4, 2), np.nan)
+    shown = np.isfinite(fit.measurement.centre_px[cell]).all()
+    ray = camera.rays(fit.measurement.centre_px[cell] if shown else fit.grid_px[cell])[0]
+    return _corners_px(fit, camera, _on_panel(fit, ray), 2.0 * fit.measurement.half_size)
 
 
 def _corners_px(fit: FitResult, camera: Camera, place: Array, size: Array) -> Array:
