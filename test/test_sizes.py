@@ -123,13 +123,13 @@ def test_the_slope_tells_a_right_pose_from_a_panel_that_faces_the_camera() -> No
     given = scene(4, tilt_deg=35.0)
     fit = fit_panel(given.detections, given.camera)
     assert fit.ok
-    off, known, wide, _ = features(fit, list(given.detections))
+    off, known, _ = features(fit, list(given.detections))
     # The boxes are those of the rendered buttons with 6 % of noise.
-    assert abs(off) < 1.5 and known > 4.0 and wide < 0.1
+    assert abs(off) < 1.5 and known > 4.0
     alike = boxed(np.array([[d.x_px, d.y_px] for d in given.detections]), np.random.default_rng(0))
     assert features(fit, alike)[0] < -4.0
     bare = [Detection(d.x_px, d.y_px) for d in given.detections]
-    assert list(features(fit, bare)[:3]) == [0.0, 0.0, 0.0]
+    assert list(features(fit, bare)[:2]) == [0.0, 0.0]
 
 
 def test_a_trapezoid_that_faces_the_camera_is_no_tilted_panel() -> None:

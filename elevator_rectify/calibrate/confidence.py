@@ -34,7 +34,7 @@ from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.scene import Scene, paper_camera
 
 # Of standardised features, an example; real panels are few, and alike among themselves.
-_RIDGE, _REAL_RIDGE = 0.0006, 0.01
+_RIDGE, _REAL_RIDGE = 0.0006, 0.005
 # Few pictures in a robot's life are as bad as the worst level.
 _WEIGHTS = {"extreme": 0.5}
 _LEVELS = ("easy", "medium", "hard", "extreme", "gaps", *4 * ["wild"])

@@ -12,7 +12,7 @@ import numpy as np
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
-FEATURES = ("sizes' slope off over std", "sizes' slope known", "ln width over height", "ln sizes' scatter")
+FEATURES = ("sizes' slope off over std", "sizes' slope known", "ln sizes' scatter")
 _FEWEST, _ROUNDS = 4, 4
 # Share of a pitch over which the projection is taken for linear.
 _STEP = 0.05
@@ -23,23 +23,22 @@ _LEAST_SCATTER, _MARGIN_SHARE, _SLOPE_STD = 0.03, 0.1, 0.15
 _SIZE_STD, _FARTHEST = 0.06, 3.0
 # On real panels no right fit had a slope that was surely less.
 _LEAST_SLOPE = 0.5
-_MOST_STDS, _MOST_RATIO, _USUAL_SCATTER = 5.0, 1.0, 0.05
+_MOST_STDS, _USUAL_SCATTER = 5.0, 0.05
 
 
 def size_features(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> Array:
-    """Return (4,) what the sizes (M, 2) px of the detections `index` (M,) say of a fit to them, as FEATURES names it.
+    """Return (3,) what the sizes (M, 2) px of the detections `index` (M,) say of a fit to them, as FEATURES names it.
 
     Without sizes they say nothing: neither for the pose nor against it.
     """
     pairs = _expected_and_seen(fit, index, sizes_px, camera)
     if pairs is None:
-        return np.array([0.0, 0.0, 0.0, np.log(_USUAL_SCATTER)])
+        return np.array([0.0, 0.0, np.log(_USUAL_SCATTER)])
     expected, seen = pairs
     slope, std, scatter = _line(expected.mean(axis=1), seen.mean(axis=1))
-    wide = float(np.median((seen - expected) @ np.array([1.0, -1.0])))
     std = float(np.hypot(std, _SLOPE_STD))
     off = np.clip((slope - 1.0) / std, -_MOST_STDS, _MOST_STDS)
-    return np.array([off, 1.0 / std, min(abs(wide), _MOST_RATIO), np.log(scatter)])
+    return np.array([off, 1.0 / std, np.log(scatter)])
 
 
 def faces_the_camera(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> bool:
