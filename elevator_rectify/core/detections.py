@@ -10,12 +10,14 @@ import numpy as np
 
 from elevator_rectify.core.config import InputConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.types import Array, Detection, IntArray
+from elevator_rectify.core.types import Array, BoolArray, Detection, IntArray
 
 # A button at the border may be detected this far beyond it, in image sizes.
 _OUTSIDE = 0.01
 # Boxes that differ by less than this share of their size are a detector's constant.
 _ALIKE = 0.005
+# Boxes that come so near to the picture's border may be cut off by it.
+_BORDER_PX = 1.5
 # Irrational numbers: fractions of a weighted sum of coordinates are spread evenly.
 _SCATTER_X, _SCATTER_Y = 0.5 * (np.sqrt(5.0) - 1.0), np.sqrt(2.0)
 
@@ -29,6 +31,13 @@ class Usable:
     rays: Array
     sizes_px: Array
     dropped: dict[str, int]
+
+    def cut_off(self, camera: Camera) -> BoolArray:
+        """Return (M,) which boxes reach the picture's border."""
+        centre, half = camera.pixels(self.rays), self.sizes_px / 2.0
+        last = np.array([camera.width, camera.height]) - 1.0
+        near = (centre - half < _BORDER_PX) | (centre + half > last - _BORDER_PX)
+        return np.asarray((self.sizes_px > 0).all(axis=1) & near.any(axis=1))
 
     @cached_property
     def telling_sizes_px(self) -> Array:

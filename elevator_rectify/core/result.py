@@ -238,7 +238,9 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
     all_cells = np.full((usable.number, 2), -1, dtype=np.int64)
     all_cells[usable.index] = cells
     rays = np.full((usable.number, 2), np.nan)
-    rays[usable.index] = usable.rays
+    # What the picture's border cuts off is somewhere else than its box: no button beside the grid.
+    beside = cells[:, 0] < 0
+    rays[usable.index] = np.where((beside & usable.cut_off(camera))[:, None], np.nan, usable.rays)
     error = _errors(pose, nodes, cells, usable.rays)
     rows, columns = nodes.shape[:2]
     return replace(

@@ -16,6 +16,10 @@ from elevator_rectify.core.types import Array, Button
 DEFAULT_TARGET = TargetConfig()
 # A second button with more than this probability of the label is named as a candidate.
 _CANDIDATE = 0.1
+# What digits read as upside down, and those that can only be read upright: they tell, if every twelfth button has one
+# that is surely read.
+_OVER = {"0": "0", "1": "1", "2": "2", "5": "5", "6": "9", "8": "8", "9": "6"}
+_UPRIGHT, _SURELY_READ, _TELLING_SHARE = frozenset("347"), 0.9, 1 / 12
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,26 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
     if probability < config.min_probability:
         reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"
         return Choice(None, "unsure_label", reason)
+    over = upside_down(name)
+    upright = sum(_stands_upright(b) for b in fit.buttons)
+    if over not in ("", name) and upright < max(1.0, _TELLING_SHARE * len(fit.buttons)):
+        reason = f"{name} is {over} upside down, and too few of 3, 4 and 7 are surely read to tell"
+        return Choice(None, "unsure_label", reason)
     return _placed(fit, button, config)
+
+
+def upside_down(label: str) -> str:
+    """Return what a label reads as when it stands on its head, as in the picture of a camera that hangs: '' for what
+    cannot be read then."""
+    if label in ("up", "down"):
+        return "down" if label == "up" else "up"
+    return "".join(_OVER[c] for c in reversed(label)) if label and all(c in _OVER for c in label) else ""
+
+
+def _stands_upright(button: Button) -> bool:
+    """Tell whether a button bears a surely read digit that is none upside down."""
+    read = canonical(button.read)
+    return read == button.label and button.score >= _SURELY_READ and not _UPRIGHT.isdisjoint(read)
 
 
 def _placed(fit: GridFit, button: Button, config: TargetConfig) -> Choice:
