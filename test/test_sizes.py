@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.lattice.joint import fit_joint
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, depths, moved, pose_at
 from elevator_rectify.core.lattice.refinement import Poses, stepped
-from elevator_rectify.core.lattice.sizes import faces_the_camera, size_features, size_information, size_nats
+from elevator_rectify.core.lattice.sizes import contradiction, size_features, size_information, size_nats
 from elevator_rectify.core.types import Array, FitResult
 from elevator_rectify.render.scene import paper_camera
 from test.scenes import rotation_error_deg, scene
@@ -142,9 +144,9 @@ def test_a_trapezoid_that_faces_the_camera_is_no_tilted_panel() -> None:
     tilted_fit = fit_panel(scene(4, tilt_deg=35.0).detections, paper_camera())
     alike = boxed(scene(4, tilt_deg=35.0).centres_px, np.random.default_rng(0))
     usable = usable_detections(alike, paper_camera(), InputConfig())
-    assert faces_the_camera(tilted_fit, usable.index, usable.sizes_px, paper_camera())
+    assert "tilt" in contradiction(tilted_fit, usable.index, usable.sizes_px, paper_camera())
     true = usable_detections(scene(4, tilt_deg=35.0).detections, paper_camera(), InputConfig())
-    assert not faces_the_camera(tilted_fit, true.index, true.sizes_px, paper_camera())
+    assert not contradiction(tilted_fit, true.index, true.sizes_px, paper_camera())
 
 
 def test_boxes_of_one_and_the_same_size_say_nothing() -> None:
@@ -157,3 +159,19 @@ def test_boxes_of_one_and_the_same_size_say_nothing() -> None:
     assert fit.ok and rotation_error_deg(fit.R_camera_panel, given.R_camera_panel) < 0.1
     true = usable_detections(given.detections, given.camera, InputConfig())
     assert (true.telling_sizes_px == true.sizes_px).all()
+
+
+def test_a_lattice_over_a_corner_of_two_walls_is_no_tilted_panel() -> None:
+    """Behind the corner the boxes are narrower, not lower."""
+    for number in range(8):
+        walls = UNPICTURED["corner of two walls"](np.random.default_rng([number, 7]))
+        fit = fit_panel([Detection(x, y, w, h) for x, y, w, h in walls.tolist()], paper_camera())
+        assert not fit.ok or fit.R_camera_panel[2, 2] > np.cos(np.deg2rad(10.0))
+    given = scene(4, tilt_deg=35.0)
+    fit = fit_panel(given.detections, given.camera)
+    column = fit.cells[:, 1]
+    narrower = [
+        replace(d, width_px=d.width_px * (0.4 if c else 1.0)) for d, c in zip(given.detections, column, strict=True)
+    ]
+    usable = usable_detections(narrower, given.camera, InputConfig())
+    assert "two walls" in contradiction(fit, usable.index, usable.sizes_px, given.camera)

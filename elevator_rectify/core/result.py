@@ -29,7 +29,7 @@ from elevator_rectify.core.geometry.pose import (
 from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, pose_at
 from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
-from elevator_rectify.core.lattice.sizes import faces_the_camera
+from elevator_rectify.core.lattice.sizes import contradiction
 from elevator_rectify.core.paper.rounds import PaperFit
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
@@ -100,8 +100,8 @@ def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float
         other = _layout_result(fit.other, found, usable, camera, config)
         reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
         return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
-    if faces_the_camera(best, usable.index, usable.telling_sizes_px, camera):
-        reason = "the boxes' sizes do not change over the panel as the tilt would have it that their places ask for"
+    reason = contradiction(best, usable.index, usable.telling_sizes_px, camera)
+    if reason:
         return replace(best, status="no_lattice", reason=reason)
     return judged(best, fit.best, camera, config, config.accept.min_confidence)
 

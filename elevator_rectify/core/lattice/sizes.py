@@ -21,8 +21,9 @@ _STEP = 0.05
 _LEAST_SCATTER, _MARGIN_SHARE, _SLOPE_STD = 0.03, 0.1, 0.15
 # Of one box, as a share; a size that is further off, in standard deviations, is of a larger or smaller button.
 _SIZE_STD, _FARTHEST = 0.06, 3.0
-# On real panels no right fit had a slope that was surely less.
-_LEAST_SLOPE = 0.5
+# On real panels no right fit had a slope that was surely less; ln(width / height) changed along the rows by less than
+# this from end to end.
+_LEAST_SLOPE, _FOLD, _SURE_STDS = 0.5, 0.35, 4.0
 _MOST_STDS, _USUAL_SCATTER = 5.0, 0.05
 
 
@@ -34,31 +35,43 @@ def size_features(fit: FitResult, index: IntArray, sizes_px: Array, camera: Came
     pairs = _expected_and_seen(fit, index, sizes_px, camera)
     if pairs is None:
         return np.array([0.0, 0.0, np.log(_USUAL_SCATTER)])
-    expected, seen = pairs
+    expected, seen, _ = pairs
     slope, std, scatter = _line(expected.mean(axis=1), seen.mean(axis=1))
     std = float(np.hypot(std, _SLOPE_STD))
     off = np.clip((slope - 1.0) / std, -_MOST_STDS, _MOST_STDS)
     return np.array([off, 1.0 / std, np.log(scatter)])
 
 
-def faces_the_camera(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> bool:
-    """Tell whether the sizes surely do not change as the fit's tilt would have it: a fan or a trapezoid, no panel."""
+def contradiction(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> str:
+    """Return why boxes of these sizes are surely no panel in the fit's pose, '' where they may be one: a fan or a
+    trapezoid that faces the camera, or two walls."""
     pairs = _expected_and_seen(fit, index, sizes_px, camera)
     if pairs is None:
-        return False
-    slope, std, _ = _line(pairs[0].mean(axis=1), pairs[1].mean(axis=1))
-    return bool(slope + 2.0 * std < _LEAST_SLOPE)
+        return ""
+    expected, seen, places = pairs
+    slope, std, _ = _line(expected.mean(axis=1), seen.mean(axis=1))
+    if slope + 2.0 * std < _LEAST_SLOPE:
+        return "the boxes' sizes do not change over the panel as the tilt would have it that their places ask for"
+    across = places[:, 0] / fit.pitch[0]
+    turn, std, _ = _line(across, (seen - expected) @ np.array([1.0, -1.0]))
+    if abs(turn) * np.ptp(across) > _FOLD and abs(turn) > _SURE_STDS * std:
+        return "the boxes grow narrower along the rows, as over a corner of two walls"
+    return ""
 
 
-def _expected_and_seen(fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera) -> tuple[Array, Array] | None:
-    """Return ln of width and height (K, 2) as the fit predicts them, but for a factor, and as seen; None for few."""
+def _expected_and_seen(
+    fit: FitResult, index: IntArray, sizes_px: Array, camera: Camera
+) -> tuple[Array, Array, Array] | None:
+    """Return ln of width and height (K, 2) as the fit predicts them, but for a factor, and as seen, and the places
+    (K, 2) on the panel; None for few."""
     on = (fit.cells[index, 0] >= 0) & (sizes_px > 0).all(axis=1)
     if on.sum() < _FEWEST or not np.isfinite(fit.grid_panel).all():
         return None
     cells = fit.cells[index[on]]
-    expected = np.log(disc_sizes_px(fit, fit.grid_panel[cells[:, 0], cells[:, 1]], camera))
+    places = fit.grid_panel[cells[:, 0], cells[:, 1]]
+    expected = np.log(disc_sizes_px(fit, places, camera))
     known = np.isfinite(expected).all(axis=1)
-    return (expected[known], np.log(sizes_px[on])[known]) if known.sum() >= _FEWEST else None
+    return (expected[known], np.log(sizes_px[on])[known], places[known]) if known.sum() >= _FEWEST else None
 
 
 def size_nats(depth: Array, log_sizes: Array, inlier: Array) -> float:
