@@ -16,8 +16,8 @@ from elevator_rectify.core.types import Array, BoolArray, Detection, IntArray
 _OUTSIDE = 0.01
 # Boxes that differ by less than this share of their size are a detector's constant.
 _ALIKE = 0.005
-# Boxes that come so near to the picture's border may be cut off by it.
-_BORDER_PX = 1.5
+# Boxes that come so near to the picture's border are cut off by it, if they are smaller than this share of the others.
+_BORDER_PX, _CUT_SHARE = 1.5, 0.8
 # Irrational numbers: fractions of a weighted sum of coordinates are spread evenly.
 _SCATTER_X, _SCATTER_Y = 0.5 * (np.sqrt(5.0) - 1.0), np.sqrt(2.0)
 
@@ -33,11 +33,15 @@ class Usable:
     dropped: dict[str, int]
 
     def cut_off(self, camera: Camera) -> BoolArray:
-        """Return (M,) which boxes reach the picture's border."""
+        """Return (M,) which boxes the picture's border cuts off: they reach it, and are smaller than usual."""
         centre, half = camera.pixels(self.rays), self.sizes_px / 2.0
+        known = np.asarray((self.sizes_px > 0).all(axis=1))
+        if not known.any():
+            return known
         last = np.array([camera.width, camera.height]) - 1.0
         near = (centre - half < _BORDER_PX) | (centre + half > last - _BORDER_PX)
-        return np.asarray((self.sizes_px > 0).all(axis=1) & near.any(axis=1))
+        small = self.sizes_px < _CUT_SHARE * np.median(self.sizes_px[known], axis=0)
+        return np.asarray(known & (near & small).any(axis=1))
 
     @cached_property
     def telling_sizes_px(self) -> Array:

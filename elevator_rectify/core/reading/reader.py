@@ -29,7 +29,7 @@ _LARGE_PX = 20.0
 # Pictures that are shrunk by more than this are smoothed first.
 SHARPEST = 1.6
 # What is read as no button with so much is none, on a panel whose buttons are usually read as such with less.
-_NO_BUTTON, _USUAL_OTHER = 0.8, 0.5
+_NO_BUTTON, _USUAL_OTHER = 0.5, 0.5
 # So many buttons tell what is usual on a panel.
 _SAMPLE = 8
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.

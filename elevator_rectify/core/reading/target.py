@@ -16,10 +16,14 @@ from elevator_rectify.core.types import Array, Button
 DEFAULT_TARGET = TargetConfig()
 # A second button with more than this probability of the label is named as a candidate.
 _CANDIDATE = 0.1
+# The order alone does not overrule a label that is read with such a score.
+_NOT_OVERRULED = 0.98
 # What digits read as upside down, and those that can only be read upright: they tell, if every twelfth button has one
 # that is surely read.
 _OVER = {"0": "0", "1": "1", "2": "2", "5": "5", "6": "9", "8": "8", "9": "6"}
 _UPRIGHT, _SURELY_READ, _TELLING_SHARE = frozenset("347"), 0.9, 1 / 12
+# Floors grow upwards by so much more pairs of them than downwards, of at least so many pairs in different rows.
+_UPWARDS, _FEWEST_PAIRS = 0.7, 6
 
 
 @dataclass(frozen=True)
@@ -83,10 +87,12 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
     if probability < config.min_probability:
         reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"
         return Choice(None, "unsure_label", reason)
+    if button.label_source == "corrected" and button.score >= _NOT_OVERRULED:
+        reason = f"{name} by the floors' order alone, where {canonical(button.read)} is read with {button.score:.2f}"
+        return Choice(None, "unsure_label", reason)
     over = upside_down(name)
-    upright = sum(_stands_upright(b) for b in fit.buttons)
-    if over not in ("", name) and upright < max(1.0, _TELLING_SHARE * len(fit.buttons)):
-        reason = f"{name} is {over} upside down, and too few of 3, 4 and 7 are surely read to tell"
+    if over not in ("", name) and not _upright(fit.buttons):
+        reason = f"{name} is {over} upside down, and too few floors are surely read to tell"
         return Choice(None, "unsure_label", reason)
     return _placed(fit, button, config)
 
@@ -96,13 +102,23 @@ def upside_down(label: str) -> str:
     cannot be read then."""
     if label in ("up", "down"):
         return "down" if label == "up" else "up"
-    return "".join(_OVER[c] for c in reversed(label)) if label and all(c in _OVER for c in label) else ""
+    turned = "".join(_OVER.get(c, " ") for c in reversed(label))
+    # No floor is called 01.
+    return "" if " " in turned or (turned.startswith("0") and turned != "0") else turned
 
 
-def _stands_upright(button: Button) -> bool:
-    """Tell whether a button bears a surely read digit that is none upside down."""
-    read = canonical(button.read)
-    return read == button.label and button.score >= _SURELY_READ and not _UPRIGHT.isdisjoint(read)
+def _upright(buttons: tuple[Button, ...]) -> bool:
+    """Tell whether digits that are none upside down are surely read, or floors that grow upwards: hardly a panel counts
+    downwards."""
+    read = [(canonical(b.read), b.panel[1]) for b in buttons if b.score >= _SURELY_READ]
+    floors = [(name, y) for name, y in read if name and is_number(name)]
+    upright = sum(not _UPRIGHT.isdisjoint(name) for name, _ in floors)
+    if upright >= max(1.0, _TELLING_SHARE * len(buttons)):
+        return True
+    number, y = np.array([int(name) for name, _ in floors]), np.array([y for _, y in floors])
+    way = np.sign(np.subtract.outer(number, number) * np.subtract.outer(y, y))
+    pairs = np.abs(way).sum() / 2.0
+    return bool(pairs >= _FEWEST_PAIRS and -way.sum() / 2.0 >= _UPWARDS * pairs)
 
 
 def _placed(fit: GridFit, button: Button, config: TargetConfig) -> Choice:
