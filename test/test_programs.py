@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import errno
+import importlib
 import sys
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,8 @@ def test_a_full_disk_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys
     def replay(arguments: list[str]) -> int:
         raise full if arguments else OSError(errno.EINVAL, "a defect")
 
-    monkeypatch.setattr("elevator_rectify.recordings.replay.main", replay)
+    # The test of a missing package leaves the packages without their modules as attributes.
+    monkeypatch.setattr(importlib.import_module("elevator_rectify.recordings.replay"), "main", replay)
     assert programs.run("replay", ["replay", "bag"]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "/out/panels.txt: No space left" in said

@@ -47,6 +47,21 @@ def test_rows_that_come_into_view_are_added() -> None:
     assert whole.ok and whole.rows == fit.rows and (whole.cells >= 0).all()
 
 
+def test_a_row_that_was_missed_between_others_is_searched_for() -> None:
+    """A track that began badly, with a gap where a row is, would stay so for as long as it explains the other rows."""
+    fit, _ = full_grid()
+    missed = fit.rows // 2
+    of_it = fit.cells[:, 0] == missed
+    cells = np.where(of_it[:, None], -1, fit.cells - np.outer(fit.cells[:, 0] > missed, [1, 0]))
+    begun = replace(fit, cells=cells, row_positions=np.delete(fit.row_positions, missed), rows=fit.rows - 1)
+    begun = replace(begun, inliers=int((~of_it).sum()))
+    before = replace(begun, cells=cells[~of_it], rays=fit.rays[~of_it])
+    one = ~of_it | (np.arange(len(cells)) == np.flatnonzero(of_it)[0])
+    now = replace(begun, cells=cells[one], rays=fit.rays[one])
+    # Once is enough.
+    assert grew(now, before) and not grew(now, now)
+
+
 def test_a_stray_detection_is_searched_for_a_row_once() -> None:
     """A search in every frame would take five times a tracked frame's time for as long as the stray stays."""
     fit, camera = full_grid()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,6 +29,8 @@ _SURE = 0.9
 # So many more unexplained detections than in the frame before, or a new one that is so near to the next line, in
 # pitches, may be of a row that came into view; it is not new where the frame before had one so near.
 _NEWCOMERS, _ON_LINE, _SAME_PLACE = 2, 0.2, 0.3
+# Lines further apart than this, in pitches, may have one between them that was missed.
+_GAP = 1.5
 # A button over the pitch, where its box has no size.
 _USUAL_SIZE = 0.6
 
@@ -124,19 +127,19 @@ def tracked(
 
 
 def grew(fit: FitResult, previous: FitResult) -> bool:
-    """Tell whether a row or column may have come into view: new detections where the next one would be, or many more
-    that the lattice leaves out."""
+    """Tell whether a row or column may have come into view, or was missed before: new detections where it would be, or
+    many more that the lattice leaves out."""
     place = _left_out(fit)
     if len(place) >= len(previous.cells) - previous.inliers + _NEWCOMERS:
         return True
     known = _left_out(previous)
     new = np.linalg.norm(place[:, None] - known[None], axis=2).min(axis=1, initial=np.inf) > _SAME_PLACE
     place = place[new]
-    row, row_half, row_beyond = _from_lines(place[:, 1], fit.row_positions)
-    column, column_half, column_beyond = _from_lines(place[:, 0], fit.column_positions)
+    row, row_half, row_missed = _from_lines(place[:, 1], fit.row_positions)
+    column, column_half, column_missed = _from_lines(place[:, 0], fit.column_positions)
     # The next row or column may be half a pitch aside.
-    next_row = row_beyond & (row < _ON_LINE) & (np.minimum(column, column_half) < _ON_LINE)
-    next_column = column_beyond & (column < _ON_LINE) & (np.minimum(row, row_half) < _ON_LINE)
+    next_row = row_missed & (row < _ON_LINE) & (np.minimum(column, column_half) < _ON_LINE)
+    next_column = column_missed & (column < _ON_LINE) & (np.minimum(row, row_half) < _ON_LINE)
     return bool((next_row | next_column).any())
 
 
@@ -149,13 +152,14 @@ def _left_out(fit: FitResult) -> Array:
 
 
 def _from_lines(place: Array, lines: Array) -> tuple[Array, Array, BoolArray]:
-    """Return how far places are from the nearest line or the next one beyond, from half a pitch behind one, and whether
-    the nearest is beyond."""
-    more = np.concatenate([[lines[0] - 1.0], lines, [lines[-1] + 1.0]])
+    """Return how far places are from the nearest line, or one that may have been missed, from half a pitch behind one,
+    and whether the nearest is a missed one: beyond the last ones, or in a gap at a whole pitch from one of its ends."""
+    gaps = [(a, b) for a, b in pairwise(lines) if b - a > _GAP]
+    within = [np.append(np.arange(a + 1.0, b - 0.5), np.arange(b - 1.0, a + 0.5, -1.0)) for a, b in gaps]
+    more = np.concatenate([lines, [lines[0] - 1.0, lines[-1] + 1.0], *within])
     distance = np.abs(place[:, None] - more)
-    nearest = distance.argmin(axis=1)
     half = np.abs(place[:, None] - more - 0.5).min(axis=1)
-    return distance.min(axis=1), half, (nearest == 0) | (nearest == len(more) - 1)
+    return distance.min(axis=1), half, distance.argmin(axis=1) >= len(lines)
 
 
 def witnessed(
