@@ -109,7 +109,7 @@ def test_a_cap_in_the_box_of_cap_and_plate_is_no_shift() -> None:
     for things, expected in ((cap, 0.0), (with_plate, 0.0), (cap + np.array([6.0, 0.0, 6.0, 0.0]), 0.3)):
         seen, shift = _seen(things, centres, sizes)
         assert seen.all()
-        np.testing.assert_allclose(np.linalg.norm(shift), expected, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(shift, axis=1), expected, atol=1e-9)
 
 
 def test_boxes_of_another_panel_are_contradicted_by_the_buttons_that_the_picture_shows() -> None:
@@ -119,3 +119,14 @@ def test_boxes_of_another_panel_are_contradicted_by_the_buttons_that_the_picture
         lying = PICTURED["another panel"](given, np.random.default_rng([1001, number, len("another panel")]))
         fit = fit_panel(lying, given.scene.camera, Config(), image=given.image)
         assert not fit.ok
+
+
+def test_boxes_that_are_off_each_another_way_are_no_boxes_of_the_picture(scenes: list[Pictured]) -> None:
+    """Those of the mirrored picture come to lie on the buttons, more or less, where the panel hangs in its middle."""
+    s = scenes[0]
+    centres = s.scene.centres_px
+    sizes = np.array([[d.width_px, d.height_px] for d in s.scene.detections])
+    aside = 0.25 * sizes * np.where(np.arange(len(centres))[:, None] % 2, 1.0, -1.0) * [1.0, 0.0]
+    assert second_opinion(s.image, centres, sizes, NETWORK).verdict == CONFIRMED
+    said = second_opinion(s.image, centres + aside, sizes, NETWORK)
+    assert said.verdict == CONTRADICTED and "each another way" in said.reason

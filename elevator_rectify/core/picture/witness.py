@@ -24,12 +24,14 @@ _NEAR = 0.4
 _FILLED = 0.55
 # From this share on the boxes are confirmed (99 held-out real panels all had .9 and more). Below, they are contradicted
 # where so many sure buttons have no box: at least, and over the number of boxes.
-_CONFIRMED_SHARE = 0.75
+_CONFIRMED_SHARE = 0.85
 _ELSEWHERE, _ELSEWHERE_SHARE = 2, 0.15
 # Where so few boxes are seen, some likely buttons elsewhere will do: the picture shows buttons, but not these.
 _HARDLY_SEEN, _LIKELY_HEAT = 0.3, 0.25
-# Boxes that are seen, but all off to one side by more than this share of their size, are of another moment.
-_COMMON_SHIFT = 0.2
+# Boxes that are seen, but all off to one side by more than this share of their size, are of another moment; those that
+# are off by more each, half of them, are another picture's of much the same lattice (right ones: .13 at most). So it is
+# where this share of them is seen.
+_MOSTLY_SEEN, _COMMON_SHIFT, _OWN_SHIFT = 0.5, 0.2, 0.15
 # A picture is sharp where a hundredth of it has gradients like this (grey levels a pixel); a box is empty where the
 # gradients in and around it are below that share of the picture's.
 _SHARP, _EMPTY_SHARE, _EMPTY = 25.0, 0.18, 0.6
@@ -47,11 +49,16 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
     """Return whether the picture shows buttons at the boxes: centres (N, 2) and sizes (N, 2) in pixels."""
     found = find_boxes(image, config)
     seen, shift = _seen(found.boxes_px[found.heat > _SEEN_HEAT], centres_px, sizes_px)
-    share, off = float(seen.mean()), float(np.linalg.norm(shift))
-    if share >= _CONFIRMED_SHARE and off < _COMMON_SHIFT:
+    share = float(seen.mean())
+    off = float(np.linalg.norm(np.median(shift, axis=0))) if len(shift) else 0.0
+    each = float(np.median(np.linalg.norm(shift, axis=1))) if len(shift) else 0.0
+    if share >= _CONFIRMED_SHARE and off < _COMMON_SHIFT and each < _OWN_SHIFT:
         return Opinion(CONFIRMED, f"{share:.0%} of the boxes are seen in the picture")
-    if share >= _CONFIRMED_SHARE:
+    if share >= _MOSTLY_SEEN and off >= _COMMON_SHIFT:
         return Opinion(CONTRADICTED, f"the boxes are all off by {off:.2f} of their size from what the picture shows")
+    if share >= _MOSTLY_SEEN and each >= _OWN_SHIFT:
+        text = f"the boxes are off by {each:.2f} of their size, each another way, from what the picture shows"
+        return Opinion(CONTRADICTED, text)
     hardly = share < _HARDLY_SEEN
     sure = found.is_button & (found.heat > (_LIKELY_HEAT if hardly else _SURE_HEAT))
     elsewhere = _elsewhere(found.boxes_px[sure], centres_px)
@@ -73,10 +80,10 @@ def contradicted(fit: FitResult, opinion: Opinion) -> FitResult:
 
 
 def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray, Array]:
-    """Return (N,) which boxes have one of the things (M, 4) at their centre, or are filled by several, and the median
-    shift (2,) of those, in sizes, as far as the thing's larger box (a cap with its plate) does not explain it."""
+    """Return (N,) which boxes have one of the things (M, 4) at their centre, or are filled by several, and the shift
+    (S, 2) of those, in sizes, as far as the thing's larger box (a cap with its plate) does not explain it."""
     if not len(things):
-        return np.zeros(len(centres_px), dtype=bool), np.zeros(2)
+        return np.zeros(len(centres_px), dtype=bool), np.zeros((0, 2))
     off = (centres_px[:, None] - _centres(things)[None]) / sizes_px[:, None]
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     own = off[np.arange(len(off)), nearest]
@@ -87,7 +94,7 @@ def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray,
         if whole is not None:
             own[k] = shift[k] = whole
     seen = np.asarray(np.linalg.norm(own, axis=1) < _NEAR)
-    return seen, np.median(shift[seen], axis=0) if seen.any() else np.zeros(2)
+    return seen, shift[seen]
 
 
 def _whole(inside: Array, centre_px: Array, size_px: Array) -> Array | None:
