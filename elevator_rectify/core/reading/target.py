@@ -18,10 +18,10 @@ DEFAULT_TARGET = TargetConfig()
 _CANDIDATE = 0.1
 # The order alone does not overrule a label that is read with such a score.
 _NOT_OVERRULED = 0.98
-# What digits read as upside down, and those that can only be read upright: they tell, if every twelfth button has one
-# that is surely read.
+# What digits read as upside down, and those that can only be read upright: they tell, if two buttons, and every
+# twelfth, have one that is surely read.
 _OVER = {"0": "0", "1": "1", "2": "2", "5": "5", "6": "9", "8": "8", "9": "6"}
-_UPRIGHT, _SURELY_READ, _TELLING_SHARE = frozenset("347"), 0.9, 1 / 12
+_UPRIGHT, _SURELY_READ, _FEWEST_TELLING, _TELLING_SHARE = frozenset("347"), 0.9, 2.0, 1 / 12
 # Floors grow upwards by so much more pairs of them than downwards, of at least so many pairs in different rows.
 _UPWARDS, _FEWEST_PAIRS = 0.7, 6
 
@@ -113,7 +113,7 @@ def _upright(buttons: tuple[Button, ...]) -> bool:
     read = [(canonical(b.read), b.panel[1]) for b in buttons if b.score >= _SURELY_READ]
     floors = [(name, y) for name, y in read if name and is_number(name)]
     upright = sum(not _UPRIGHT.isdisjoint(name) for name, _ in floors)
-    if upright >= max(1.0, _TELLING_SHARE * len(buttons)):
+    if upright >= max(_FEWEST_TELLING, _TELLING_SHARE * len(buttons)):
         return True
     number, y = np.array([int(name) for name, _ in floors]), np.array([y for _, y in floors])
     way = np.sign(np.subtract.outer(number, number) * np.subtract.outer(y, y))
