@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -75,7 +74,7 @@ class Placements:
     """Where the boxes of contradicted frames would belong; what most of them have in common is a setting."""
 
     _tried: int = 0
-    _found: deque[Placement] = field(default_factory=lambda: deque(maxlen=_ALIKE))
+    _found: list[Placement] = field(default_factory=list)
 
     @property
     def wanted(self) -> bool:
@@ -121,8 +120,12 @@ class Hints:
 
     node: NodeConfig
     placements: Placements = field(default_factory=Placements)
-    advice: str = ""
     _said: set[str] = field(default_factory=set)
+
+    @property
+    def advice(self) -> str:
+        """Return the setting that would bring contradicted boxes onto the buttons, '' for none."""
+        return self.placements.advice()
 
     def of(self, answer: Answer, detections: Any, depths: int, lost_infos: int = 0) -> list[str]:
         """Return what to log of this frame for the first time. depths: number of depth images received;
@@ -130,7 +133,6 @@ class Hints:
         hints = {}
         if answer.fit.status == "contradicted" and self.placements.wanted:
             self.placements.add(answer.placement)
-            self.advice = self.placements.advice()
             if self.advice:
                 hints["placement"] = f"the picture contradicts the boxes: {self.advice}"
         if answer.fit.ok and not answer.fit.metric:

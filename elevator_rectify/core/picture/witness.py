@@ -52,13 +52,13 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
     share = float(seen.mean())
     off = float(np.linalg.norm(np.median(shift, axis=0))) if len(shift) else 0.0
     each = float(np.median(np.linalg.norm(shift, axis=1))) if len(shift) else 0.0
-    if share >= _CONFIRMED_SHARE and off < _COMMON_SHIFT and each < _OWN_SHIFT:
-        return Opinion(CONFIRMED, f"{share:.0%} of the boxes are seen in the picture")
     if share >= _MOSTLY_SEEN and off >= _COMMON_SHIFT:
         return Opinion(CONTRADICTED, f"the boxes are all off by {off:.2f} of their size from what the picture shows")
     if share >= _MOSTLY_SEEN and each >= _OWN_SHIFT:
         text = f"the boxes are off by {each:.2f} of their size, each another way, from what the picture shows"
         return Opinion(CONTRADICTED, text)
+    if share >= _CONFIRMED_SHARE:
+        return Opinion(CONFIRMED, f"{share:.0%} of the boxes are seen in the picture")
     hardly = share < _HARDLY_SEEN
     sure = found.is_button & (found.heat > (_LIKELY_HEAT if hardly else _SURE_HEAT))
     elsewhere = _elsewhere(found.boxes_px[sure], centres_px)
