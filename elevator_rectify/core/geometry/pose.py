@@ -9,7 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.types import Array, FitResult
+
+# Share of a pitch over which the projection is taken for linear.
+_STEP = 0.05
 
 # Places so little before a row or column, in pitches, are on it: staggered ones are half a pitch behind.
 _ON_LINE = 0.25
@@ -135,6 +139,15 @@ def _shape_jacobian(fit: FitResult, panel: Array) -> Array:
             J[:, :, at] = (mine >= number)[:, None] * fit.pitch[axis] * direction
             at += 1
     return J
+
+
+def jacobians_px(fit: FitResult, places: Array, camera: Camera) -> Array:
+    """Return d pixel / d place (K, 2, 2), in pixels a unit of the fit, at places (K, 2) of the panel; NaN behind the
+    camera."""
+    step = _STEP * float(fit.pitch[0])
+    near = places[None] + np.array([[0.0, 0.0], [step, 0.0], [0.0, step]])[:, None]
+    px = camera.project(near @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
+    return np.asarray(np.stack([px[1] - px[0], px[2] - px[0]], axis=-1) / step)
 
 
 def on_plane(R: Array, t: Array, rays: Array) -> tuple[Array, Array]:

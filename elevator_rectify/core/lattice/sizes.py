@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.pose import jacobians_px
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
 FEATURES = ("sizes' slope off over std", "sizes' slope known", "ln sizes' scatter")
 _FEWEST, _ROUNDS = 4, 4
-# Share of a pitch over which the projection is taken for linear.
-_STEP = 0.05
 # A detector's boxes are not known better, as a share. Boxes with a margin shrink less than their buttons: on real
 # panels the slope is so much less than 1 in the median, and so uncertain.
 _LEAST_SCATTER, _MARGIN_SHARE, _SLOPE_STD = 0.03, 0.1, 0.15
@@ -117,11 +116,8 @@ def size_information(depth: Array, d_depth: Array, log_sizes: Array, inlier: Arr
 def disc_sizes_px(fit: FitResult, places: Array, camera: Camera) -> Array:
     """Return width and height (K, 2) px of the upright boxes about small discs at places (K, 2) of the panel, all of
     one size; NaN behind the camera."""
-    step = _STEP * float(fit.pitch[0])
-    near = places[None] + np.array([[0.0, 0.0], [step, 0.0], [0.0, step]])[:, None]
-    px = camera.project(near @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
     # The box about an ellipse J u, |u| = 1: half its width is the length of J's first row.
-    return np.asarray(np.linalg.norm(px[1:] - px[0], axis=0))
+    return np.asarray(np.linalg.norm(jacobians_px(fit, places, camera), axis=2))
 
 
 def _line(x: Array, y: Array) -> tuple[float, float, float]:

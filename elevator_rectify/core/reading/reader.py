@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.pose import jacobians_px
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
 from elevator_rectify.core.types import Array, Detection, FitResult, FitT, Image
 
@@ -243,11 +244,7 @@ def _units(fit: FitResult, camera: Camera) -> Array:
         if not (d.width_px > 0 and d.height_px > 0):
             sizes.append(np.full(2, np.nan) if fit.measurement is None else 2.0 * fit.measurement.half_size)
             continue
-        centre = _on_panel(fit, ray)
-        step = 0.05 * float(fit.pitch[0])
-        moved = centre + np.array([[0, 0], [step, 0], [0, step]])
-        px = camera.project(moved @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
-        A = np.abs(np.column_stack([px[1] - px[0], px[2] - px[0]])) / step
+        A = np.abs(jacobians_px(fit, _on_panel(fit, ray)[None], camera)[0])
         # The box of an ellipse: squares add (`patches.half_size_pitch`).
         squares = np.linalg.lstsq(A**2, np.array([d.width_px, d.height_px]) ** 2, rcond=None)[0]
         usual = np.array([d.width_px, d.height_px]) / np.maximum(np.diag(A), 1e-9)
