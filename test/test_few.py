@@ -18,7 +18,9 @@ from elevator_rectify.core.outline.result import turn_of
 from elevator_rectify.core.outline.shapes import shape_points
 from elevator_rectify.core.picture.straight_edges import segments_of, sharpened, support
 from elevator_rectify.core.types import Array, FitResult, Image
-from elevator_rectify.render.scene import paper_camera
+from elevator_rectify.render.panel import Look, regular_panel
+from elevator_rectify.render.photograph import photograph
+from elevator_rectify.render.scene import DetectorModel, Scene, detected, paper_camera
 
 NO_EDGES = with_values(Config(), {"outline.edges": False})
 
@@ -85,6 +87,33 @@ def test_few_buttons_in_two_columns_have_their_rows_and_columns(shape: str, butt
             places = fit.reading.places
             assert (places.shown == (places.detection >= 0)).all()
     assert accepted >= 3
+
+
+def test_a_missed_button_of_a_single_row_or_column_leaves_its_place_in_the_numbering() -> None:
+    numbered, refused = 0, 0
+    for number in range(8):
+        scene, image = single_line(number)
+        missed = 1 + number % 3
+        kept = [d for d, button in zip(scene.detections, scene.button, strict=True) if button != missed]
+        fit = fit_panel(kept, scene.camera, image=image)
+        if not fit.ok:
+            refused += 1
+            continue
+        true = scene.panel.cells[scene.button[scene.button != missed]]
+        assert (fit.cells == true).all() and fit.rows * fit.columns == 5
+        numbered += 1
+    assert numbered >= 5, refused
+
+
+def single_line(number: int) -> tuple[Scene, Image]:
+    """Return a scene and picture of five buttons in one row or column."""
+    rng = np.random.default_rng([608, number])
+    look = replace(Look(), shape=("round", "square")[number % 2], corner_share=(1.0, 0.3)[number % 2], aspect=1.0)
+    panel = regular_panel(*((5, 1) if number // 2 % 2 else (1, 5)), look=look)
+    R = rotation(np.deg2rad([rng.uniform(-25, 25), rng.uniform(-25, 25), rng.uniform(-3, 3)]))
+    t = np.array([0.0, 0.0, 0.25]) - R @ panel.points_m.mean(axis=0)
+    scene = detected(panel, paper_camera(), R, t, DetectorModel(0.5), rng)
+    return scene, photograph(scene, rng)
 
 
 def test_rows_run_along_the_lines_that_buttons_share() -> None:

@@ -189,7 +189,7 @@ def test_no_button_is_said_only_where_the_panels_buttons_read_as_such(monkeypatc
     printed, blank = Read((("1", 0.99),), 0.0), Read((), 0.99)
     for usual, found in ((printed, empty), (blank, 0)):
         said = [blank] * empty + [usual] * len(kept)
-        monkeypatch.setattr(reader, "_read_quadrangles", lambda image, corners, weights, r=said: r[: len(corners)])
+        monkeypatch.setattr(reader, "read_quadrangles", lambda image, corners, weights, r=said: r[: len(corners)])
         assert len(no_buttons(given.image, camera, fit)) == found
 
 

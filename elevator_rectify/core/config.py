@@ -199,7 +199,9 @@ class MeasurementConfig(Checked):
         0.5, "smallest share of the detected buttons that the picture must show to be used", low=0.0, high=1.0
     )
     witness: bool = value(
-        True, "where the picture does not confirm the boxes, our own detector is asked whether it contradicts them"
+        True,
+        "where the picture does not confirm the boxes, our own detector is asked whether it contradicts them; and our "
+        "own reader whether the labels stand upright",
     )
     min_confidence: float = value(0.75, "a fit to the picture with a lower confidence is refused", low=0.0, high=1.0)
     edges: bool = value(False, "straight edges that run along the panel's directions sharpen the rotation")

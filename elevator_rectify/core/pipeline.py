@@ -16,6 +16,7 @@ from elevator_rectify.core.paper.rounds import fit_paper
 from elevator_rectify.core.picture.witness import contradicted, second_opinion
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import no_buttons
+from elevator_rectify.core.reading.upright import quarter_turns
 from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, FitResult, Image
 
@@ -43,9 +44,32 @@ def fit_panel(
         size = f"{camera.width} x {camera.height}"
         raise ValueError(f"image must be uint8 of the camera's {size}, not {image.dtype} of shape {image.shape}")
     fit = _fit(detections, camera, config, previous, image)
+    given = _as_given(detections)
     if image is not None and config.measurement.witness:
+        fit = _upright(fit, camera, previous, image, given)
         fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))
-    return GridFit.of(fit, detections=_as_given(detections))
+    return GridFit.of(fit, detections=given)
+
+
+def _upright(
+    fit: FitResult, camera: Camera, previous: FitResult | None, image: Image, detections: tuple[Detection, ...]
+) -> FitResult:
+    """Return the fit, as ambiguous where the panel's labels lie on their side: then its rows are columns.
+
+    Few panels are wider than high; the others are not asked, nor those that were seen upright in the frame before.
+    """
+    seen = previous is not None and previous.ok and _same_grid(fit, previous)
+    if not fit.ok or fit.rows > fit.columns or seen or not detections:
+        return fit
+    turns = quarter_turns(image, camera, fit, detections)
+    if not turns:
+        return fit
+    along = fit.R_camera_panel[:2, 0]
+    roll = np.arctan2(along[1], along[0]) + turns * np.pi / 2
+    roll = float(np.arctan2(np.sin(roll), np.cos(roll)))
+    way_out = f"set joint.camera_roll_rad to {roll:.2f}, or turn the camera"
+    reason = f"the labels are turned by {90 * turns} degrees: {way_out}"
+    return replace(fit, status="ambiguous", reason=reason)
 
 
 def _no_buttons(

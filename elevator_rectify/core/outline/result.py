@@ -34,6 +34,8 @@ _OUTLINE_STD_RAD = 0.03
 # Buttons on one line are no further off it, in heights; centres lie off their lines by so much, or anywhere.
 _SAME_LINE = 0.5
 _OFF_LINE, _ANY_PLACE = 0.06, 0.002
+# In a gap of a whole number of steps, to so much, lines were missed, at most so many.
+_WHOLE_STEP, _MOST_MISSED = 0.12, 2
 # Rows that run another way by more than this are another pose, unless they are less likely by so many nats.
 _SAME_TURN_RAD, _TURN_NATS = np.deg2rad(8.0), 3.0
 
@@ -132,6 +134,7 @@ def _result(
     plane = on_plane(R, model.origin, usable.rays)[0]
     rows, row = _lines(plane[:, 1], height)
     columns, column = _lines(plane[:, 0], height)
+    (rows, row), (columns, column) = _with_missed(rows, row), _with_missed(columns, column)
     pitch, aspect = _pitch(rows, columns, height)
     size = config.outline.button_size_m
     scale = replace(config.scale, column_pitch_m=config.scale.column_pitch_m if len(columns) > 1 else 0.0)
@@ -211,6 +214,19 @@ def _lines(coordinate: Array, height: float) -> tuple[Array, IntArray]:
     line = np.zeros(len(order), dtype=np.int64)
     line[order] = np.concatenate([[0], np.cumsum(np.diff(coordinate[order]) > _SAME_LINE * height)])
     return np.array([coordinate[line == k].mean() for k in range(line.max() + 1)]), line
+
+
+def _with_missed(lines: Array, line: IntArray) -> tuple[Array, IntArray]:
+    """Return lines and the line of each button with those that were missed: gaps of some whole steps, where all are."""
+    gaps = np.diff(lines)
+    if len(gaps) < 2:
+        return lines, line
+    steps = np.round(gaps / gaps.min())
+    step = float(gaps.sum() / steps.sum())
+    if steps.max() > _MOST_MISSED + 1 or (np.abs(gaps / step - steps) > _WHOLE_STEP).any():
+        return lines, line
+    number = np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+    return np.interp(np.arange(number[-1] + 1), number, lines), number[line]
 
 
 def _pitch(rows: Array, columns: Array, height: float) -> tuple[float, float]:

@@ -128,7 +128,7 @@ def _texts(slots: Array) -> dict[str, float]:
 
 def read_boxes(image: Image, detections: Sequence[Detection], weights: Path = WEIGHTS) -> list[Read]:
     """Read the boxes of a picture as they are, without a pose."""
-    return _read_quadrangles(image, box_corners_px(detections), weights)
+    return read_quadrangles(image, box_corners_px(detections), weights)
 
 
 def box_corners_px(detections: Sequence[Detection]) -> list[Array]:
@@ -139,13 +139,19 @@ def box_corners_px(detections: Sequence[Detection]) -> list[Array]:
 
 def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> list[Read]:
     """Read the detections of an accepted fit, each in the panel's plane: upright, and seen from the front."""
+    return read_quadrangles(image, plane_corners_px(fit, camera, fit.detections), weights)
+
+
+def plane_corners_px(fit: FitResult, camera: Camera, detections: Sequence[Detection]) -> list[Array]:
+    """Return the corners (4, 2) in the picture of the fit's detections with their margin, as squares of the panel's
+    plane, clockwise from the upper left; NaN for those that the fit does not use, or that have no size."""
     corners = []
-    for ray, size in zip(fit.rays, _units(fit, camera), strict=True):
+    for ray, size in zip(fit.rays, _units(fit, camera, detections), strict=True):
         if not np.isfinite(ray).all() or not np.isfinite(size).all():
             corners.append(np.full((4, 2), np.nan))
             continue
         corners.append(_corners_px(fit, camera, _on_panel(fit, ray), size))
-    return _read_quadrangles(image, corners, weights)
+    return corners
 
 
 def no_buttons(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> set[tuple[int, int]]:
@@ -190,7 +196,7 @@ def _undetected_cells(fit: FitResult) -> list[tuple[int, int]]:
 def _read_cells(
     image: Image, camera: Camera, fit: FitResult, cells: Sequence[tuple[int, int]], weights: Path
 ) -> list[Read]:
-    return _read_quadrangles(image, [_cell_corners_px(fit, camera, cell) for cell in cells], weights)
+    return read_quadrangles(image, [_cell_corners_px(fit, camera, cell) for cell in cells], weights)
 
 
 def _cell_corners_px(fit: FitResult, camera: Camera, cell: tuple[int, int]) -> Array:
@@ -208,7 +214,8 @@ def _corners_px(fit: FitResult, camera: Camera, place: Array, size: Array) -> Ar
     return camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
 
 
-def _read_quadrangles(image: Image, corners_px: Sequence[Array], weights: Path) -> list[Read]:
+def read_quadrangles(image: Image, corners_px: Sequence[Array], weights: Path = WEIGHTS) -> list[Read]:
+    """Read the picture's quadrangles (4, 2), clockwise from the upper left; NaN reads as nothing."""
     temperature = np.where([is_small(c) for c in corners_px], *temperatures())
     return [_read(logits) for logits in quadrangle_logits(image, corners_px, weights) / temperature[:, None]]
 
@@ -231,13 +238,13 @@ def _on_panel(fit: FitResult, ray: Array) -> Array:
     return np.asarray(place[:2] / place[2])
 
 
-def _units(fit: FitResult, camera: Camera) -> Array:
+def _units(fit: FitResult, camera: Camera, detections: Sequence[Detection]) -> Array:
     """Return width and height (N, 2) of the detections' boxes on the panel, in the fit's unit; NaN where unknown.
 
     Detections without a size have that of the buttons which the picture shows.
     """
     sizes = []
-    for d, ray in zip(fit.detections, fit.rays, strict=True):
+    for d, ray in zip(detections, fit.rays, strict=True):
         if not np.isfinite(ray).all():
             sizes.append(np.full(2, np.nan))
             continue

@@ -1,0 +1,50 @@
+"""Which way up the labels stand: a panel that is wider than high may be one seen by a camera that lies on its side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.reading.reader import plane_corners_px, read_quadrangles
+from elevator_rectify.core.reading.vocabulary import SYMBOLS
+from elevator_rectify.core.types import Array, Detection, FitResult, Image
+
+# So many buttons at least, read upright with this mean probability, settle it; else so many are read in all four turns.
+_FEW, _READABLE, _SAMPLE = 6, 0.5, 14
+# Turned labels are read better than upright ones: by one label more, and so many of them. Of 114 held-out panels that
+# stand upright none is, of those that lie on their side three in four.
+_MORE, _LEAST_SHARE = 1.0, 0.3
+_TURNS = (0, 1, 2, 3)
+
+
+def quarter_turns(image: Image, camera: Camera, fit: FitResult, detections: Sequence[Detection]) -> int:
+    """Return by how many quarter turns the labels are turned clockwise against the panel's frame, 0 where upright.
+
+    fit: an accepted one to these detections. Only the reader's certainty counts, not what it reads; few buttons say
+    nothing.
+    """
+    corners = [c for c in plane_corners_px(fit, camera, detections) if np.isfinite(c).all()]
+    few = _spread(corners, _FEW)
+    if len(corners) < _FEW or _readable(image, few, 0) > _READABLE * len(few):
+        return 0
+    sample = _spread(corners, _SAMPLE)
+    sums = [_readable(image, sample, turn) for turn in _TURNS]
+    best = int(np.argmax(sums))
+    return best if sums[best] > max(sums[0] + _MORE, _LEAST_SHARE * len(sample)) else 0
+
+
+def _spread(corners_px: list[Array], number: int) -> list[Array]:
+    """Return so many at most, from all over the panel."""
+    return corners_px[:: max(1, -(-len(corners_px) // number))]
+
+
+def _readable(image: Image, corners_px: list[Array], turn: int) -> float:
+    """Return the sum of the likeliest texts' probabilities, read turned by quarter turns.
+
+    Symbols do not count: many are symbols in other turns, too.
+    """
+    turned = [np.roll(corners, -turn, axis=0) for corners in corners_px]
+    reads = read_quadrangles(image, turned)
+    return sum(max((p for label, p in read.labels if label not in SYMBOLS), default=0.0) for read in reads)
