@@ -19,6 +19,7 @@ ROWS = (
     ("core.picture",),
     ("core.outline",),
     ("core.attempts",),
+    ("core.left_out",),
     ("core.pipeline",),
     ("core.find",),
     ("core",),

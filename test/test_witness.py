@@ -14,7 +14,9 @@ from elevator_rectify.benchmark.adversarial import PICTURED
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Config, Detection, NetworkConfig, fit_panel
 from elevator_rectify.core.detector.peaks import Boxes
+from elevator_rectify.core.left_out import undoubted
 from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, UNSEEN, _seen, second_opinion
+from elevator_rectify.core.pipeline import admitted
 from elevator_rectify.core.types import Image
 
 NETWORK = NetworkConfig()
@@ -130,3 +132,23 @@ def test_boxes_that_are_off_each_another_way_are_no_boxes_of_the_picture(scenes:
     assert second_opinion(s.image, centres, sizes, NETWORK).verdict == CONFIRMED
     said = second_opinion(s.image, centres + aside, sizes, NETWORK)
     assert said.verdict == CONTRADICTED and "each another way" in said.reason
+
+
+@pytest.mark.parametrize(("kind", "numbers"), [("mirrored", (66, 73, 219, 303)), ("a third left", (9, 330, 529))])
+def test_boxes_that_lie_so_that_they_nearly_fit_are_refused(kind: str, numbers: tuple[int, ...]) -> None:
+    """Mirrored ones on about every second button; a third of the boxes that a diagonal lattice explains as well."""
+    for number in numbers:
+        given = pictured(("easy", "medium", "hard")[number % 3], 6006, number, held_out=True)
+        lying = PICTURED[kind](given, np.random.default_rng([6006, number, len(kind)]))
+        fit = fit_panel(lying, given.scene.camera, image=given.image)
+        assert fit.status in ("contradicted", "ambiguous"), (number, fit.status)
+
+
+def test_buttons_left_out_that_lie_on_the_grid_leave_it_undoubted(scenes: list[Pictured]) -> None:
+    for s in scenes[:3]:
+        kept = [d for k, d in enumerate(s.scene.detections) if k % 3]
+        usable, sigma, _ = admitted(kept, s.scene.camera, Config())
+        fit = fit_panel(kept, s.scene.camera, image=s.image)
+        # As if its cells were mostly empty: the others are looked for, and say the same.
+        wide = replace(fit, rows=3 * fit.rows)
+        assert fit.ok and undoubted(wide, usable, s.scene.camera, sigma, Config(), s.image) is wide

@@ -11,6 +11,7 @@ from elevator_rectify.core.attempts import best_attempt, grew, tracked
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.left_out import undoubted
 from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
 from elevator_rectify.core.picture.witness import contradicted, second_opinion
@@ -108,7 +109,9 @@ def _fit(
         last = tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
         if last is not None and previous is not None and not grew(last, previous):
             return last
-        fresh = best_attempt(usable, camera, sigma, config, image).result
+        fresh = undoubted(
+            best_attempt(usable, camera, sigma, config, image).result, usable, camera, sigma, config, image
+        )
         return last if last is not None and last.ok and not (fresh.ok and fresh.inliers > last.inliers) else fresh
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
@@ -188,7 +191,7 @@ def _as_given(detections: Array | Sequence[Detection]) -> tuple[Detection, ...]:
 
 def sigma_px(usable: Usable, camera: Camera, config: Config) -> float:
     """Return the standard deviation of the detected centres: of boxes a share of their size, else by the image's."""
-    sizes = np.sqrt(usable.sizes_px.prod(axis=1))
+    sizes = np.sqrt(usable.sizes_px).prod(axis=1)
     if len(sizes) and (sizes > 0).all():
         return max(config.noise.min_sigma_px, config.noise.sigma_per_size * float(np.median(sizes)))
     return config.noise.sigma_px * max(1.0, max(camera.width, camera.height) / 640.0)

@@ -265,7 +265,7 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
         grid_panel=nodes * np.array([1.0, pose.aspect]) * unit,
         grid_points=points,
         grid_px=camera.project(points),
-        rms_px=float(np.sqrt((error**2).mean())) * camera.focal_px,
+        rms_px=float(np.sqrt((error**2).mean())) * camera.focal_px if len(error) else np.nan,
         inliers=len(error),
     )
 

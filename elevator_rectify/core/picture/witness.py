@@ -29,9 +29,12 @@ _ELSEWHERE, _ELSEWHERE_SHARE = 2, 0.15
 # Where so few boxes are seen, some likely buttons elsewhere will do: the picture shows buttons, but not these.
 _HARDLY_SEEN, _LIKELY_HEAT = 0.3, 0.25
 # Boxes that are seen, but all off to one side by more than this share of their size, are of another moment; those that
-# are off by more each, half of them, are another picture's of much the same lattice (right ones: .13 at most). So it is
-# where this share of them is seen.
-_MOSTLY_SEEN, _COMMON_SHIFT, _OWN_SHIFT = 0.5, 0.2, 0.15
+# are off by more each, by their root mean square, are another picture's of much the same lattice (252 right panels have
+# .15 at most). So it is where this share of them is seen.
+_MOSTLY_SEEN, _COMMON_SHIFT, _OWN_SHIFT = 0.5, 0.2, 0.155
+# A picture in which so many things are seen, over the number of boxes, can show buttons; of right boxes more than such
+# a share is at a thing, off by less than _WELL_PLACED of its size (252 right panels: .62 and more).
+_SHOWS, _PLACED_SHARE, _WELL_PLACED = 0.6, 0.6, 0.2
 # A picture is sharp where a hundredth of it has gradients like this (grey levels a pixel); a box is empty where the
 # gradients in and around it are below that share of the picture's.
 _SHARP, _EMPTY_SHARE, _EMPTY = 25.0, 0.18, 0.6
@@ -51,7 +54,8 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
     seen, shift = _seen(found.boxes_px[found.heat > _SEEN_HEAT], centres_px, sizes_px)
     share = float(seen.mean())
     off = float(np.linalg.norm(np.median(shift, axis=0))) if len(shift) else 0.0
-    each = float(np.median(np.linalg.norm(shift, axis=1))) if len(shift) else 0.0
+    own = np.linalg.norm(shift, axis=1)
+    each = float(np.sqrt((own**2).mean())) if len(own) else 0.0
     if share >= _MOSTLY_SEEN and off >= _COMMON_SHIFT:
         return Opinion(CONTRADICTED, f"the boxes are all off by {off:.2f} of their size from what the picture shows")
     if share >= _MOSTLY_SEEN and each >= _OWN_SHIFT:
@@ -66,6 +70,9 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
     if elsewhere >= enough:
         text = f"{share:.0%} of the boxes are where the picture shows buttons, {elsewhere} buttons are elsewhere"
         return Opinion(CONTRADICTED, text)
+    placed = float((own < _WELL_PLACED).sum()) / len(seen)
+    if placed < _PLACED_SHARE and (found.heat > _SEEN_HEAT).sum() >= _SHOWS * len(seen):
+        return Opinion(CONTRADICTED, f"only {placed:.0%} of the boxes are where the picture shows things like buttons")
     empty = _empty_share(image, centres_px, sizes_px)
     if empty > _EMPTY:
         return Opinion(CONTRADICTED, f"{empty:.0%} of the boxes are on nothing in a sharp picture")
