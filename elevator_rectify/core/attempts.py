@@ -12,7 +12,7 @@ from elevator_rectify.core.config import Config, HypothesesConfig
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import on_plane
-from elevator_rectify.core.geometry.rotations import rotations
+from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
 from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.picture.fit import with_picture
 from elevator_rectify.core.picture.straight_edges import Photo
@@ -31,6 +31,8 @@ _SURE = 0.9
 _NEWCOMERS, _ON_LINE, _SAME_PLACE = 2, 0.2, 0.3
 # Lines further apart than this, in pitches, may have one between them that was missed.
 _GAP = 1.5
+# Fits to two detectors' boxes of the same buttons are within this (13 real and rendered panels: 7 degrees at most).
+_SAME_POSE_RAD = np.deg2rad(9.0)
 # A button over the pitch, where its box has no size.
 _USUAL_SIZE = 0.6
 
@@ -75,7 +77,7 @@ def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, i
     assert best is not None and boxes is not None
     if image is None or not config.measurement.witness:
         return best
-    return replace(best, result=witnessed(best.result, boxes.boxes, usable, camera, image, config))
+    return replace(best, result=witnessed(best.result, boxes.boxes, usable, camera, sigma, image, config))
 
 
 def attempts(
@@ -123,7 +125,7 @@ def tracked(
     if not measured and result.ok and not shown.ok:
         return result
     lost = measured and shown.measurement is None
-    return witnessed(shown, result, usable, camera, image, config) if lost or not shown.ok else shown
+    return witnessed(shown, result, usable, camera, sigma, image, config) if lost or not shown.ok else shown
 
 
 def grew(fit: FitResult, previous: FitResult) -> bool:
@@ -163,7 +165,7 @@ def _from_lines(place: Array, lines: Array) -> tuple[Array, Array, BoolArray]:
 
 
 def witnessed(
-    shown: FitResult, boxes: FitResult, usable: Usable, camera: Camera, image: Image, config: Config
+    shown: FitResult, boxes: FitResult, usable: Usable, camera: Camera, sigma: float, image: Image, config: Config
 ) -> FitResult:
     """Return the fit to the picture where it confirms it, else the boxes' own, if the picture does not contradict it.
 
@@ -181,7 +183,27 @@ def witnessed(
     said = second_opinion(image, centres, sizes, config.network)
     if said.verdict == CONTRADICTED:
         return contradicted(believed, said)
-    return boxes if said.verdict == CONFIRMED and not shown.ok else shown
+    if said.verdict != CONFIRMED or shown.ok:
+        return shown
+    assert said.seen_px is not None
+    return agreed(boxes, said.seen_px, camera, sigma, config)
+
+
+def agreed(boxes: FitResult, seen_px: Array, camera: Camera, sigma: float, config: Config) -> FitResult:
+    """Return the fit to boxes; as ambiguous where our own detector's boxes (N, 4) at the same buttons give another one.
+
+    Boxes that lie on the buttons more or less, as a mirrored picture's may, have a pose that is not the panel's.
+    """
+    own = seen_px[np.isfinite(seen_px).all(axis=1)]
+    usable = Usable(len(own), np.arange(len(own)), camera.rays(own[:, :2]), own[:, 2:], {})
+    if len(own) < config.input.min_detections:
+        return boxes
+    other = best_attempt(usable, camera, sigma, config).result
+    apart = rotation_angle_rad(other.R_camera_panel.T @ boxes.R_camera_panel) if other.ok else 0.0
+    if apart < _SAME_POSE_RAD:
+        return boxes
+    reason = f"our own detector's boxes at the same buttons give a pose {np.rad2deg(apart):.0f} degrees off"
+    return replace(boxes, status="ambiguous", reason=reason)
 
 
 def _upright(config: Config) -> Array:

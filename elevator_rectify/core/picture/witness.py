@@ -42,10 +42,12 @@ _SHARP, _EMPTY_SHARE, _EMPTY = 25.0, 0.18, 0.6
 
 @dataclass(frozen=True)
 class Opinion:
-    """What is said: 'confirmed', 'contradicted' or 'unseen', and why."""
+    """What is said: 'confirmed', 'contradicted' or 'unseen', and why; seen_px: (N, 4) centres and sizes of what is seen
+    at confirmed boxes, NaN where nothing is."""
 
     verdict: str
     reason: str
+    seen_px: Array | None = None
 
 
 def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig) -> Opinion:
@@ -62,7 +64,10 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
         text = f"the boxes are off by {each:.2f} of their size, each another way, from what the picture shows"
         return Opinion(CONTRADICTED, text)
     if share >= _CONFIRMED_SHARE:
-        return Opinion(CONFIRMED, f"{share:.0%} of the boxes are seen in the picture")
+        things = found.boxes_px[found.heat > _SEEN_HEAT]
+        return Opinion(
+            CONFIRMED, f"{share:.0%} of the boxes are seen in the picture", _nearest(things, centres_px, seen)
+        )
     hardly = share < _HARDLY_SEEN
     sure = found.is_button & (found.heat > (_LIKELY_HEAT if hardly else _SURE_HEAT))
     elsewhere = _elsewhere(found.boxes_px[sure], centres_px)
@@ -102,6 +107,12 @@ def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray,
             own[k] = shift[k] = whole
     seen = np.asarray(np.linalg.norm(own, axis=1) < _NEAR)
     return seen, shift[seen]
+
+
+def _nearest(things: Array, centres_px: Array, seen: BoolArray) -> Array:
+    """Return centres and sizes (N, 4) of the things (M, 4) nearest to the boxes that are seen, NaN for the others."""
+    nearest = things[np.linalg.norm(centres_px[:, None] - _centres(things)[None], axis=2).argmin(axis=1)]
+    return np.where(seen[:, None], np.column_stack([_centres(nearest), nearest[:, 2:] - nearest[:, :2]]), np.nan)
 
 
 def _whole(inside: Array, centre_px: Array, size_px: Array) -> Array | None:
