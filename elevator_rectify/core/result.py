@@ -30,6 +30,7 @@ from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, pose_at
 from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
 from elevator_rectify.core.lattice.sizes import contradiction
+from elevator_rectify.core.lattice.spacing import undone_perspective
 from elevator_rectify.core.paper.rounds import PaperFit
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
@@ -149,7 +150,7 @@ def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
         return f"two rows or columns are {apart:.2f} pitches apart, less than a button"
     on = fit.node[fit.inlier > 0.5]
     shared = len(on) / max(1, len(np.unique(on)))
-    return f"{shared:.1f} detections in every filled cell" if shared > _MOST_IN_A_CELL else ""
+    return f"{shared:.1f} detections in every filled cell" if shared > _MOST_IN_A_CELL else undone_perspective(found)
 
 
 def _layout_result(fit: LayoutFit, found: FitResult, usable: Usable, camera: Camera, config: Config) -> FitResult:
