@@ -42,7 +42,7 @@ def lying(given: Pictured, quarters: int) -> tuple[Image, Camera, list[Detection
 @pytest.fixture(scope="module")
 def panels() -> list[Pictured]:
     drawn = (pictured("easy", 60, k, held_out=True) for k in range(12))
-    return [g for g in drawn if np.ptp(g.scene.panel.cells, axis=0) @ [1, -1] > 0][:5]
+    return [g for g in drawn if np.ptp(g.scene.panel.cells, axis=0) @ [1, -1] > 0][:3]
 
 
 @pytest.mark.parametrize("quarters", TURNS)
@@ -61,7 +61,7 @@ def test_a_lying_camera_is_told_by_the_labels_and_the_reason_says_how_to_set_it(
         right = fit_panel(detections, camera, Config(joint=JointConfig(camera_roll_rad=roll)), image=image)
         assert right.ok and np.rad2deg(np.arccos((np.trace(right.R_camera_panel.T @ R) - 1) / 2)) < 2.0
     # Of real panels nine in ten; some drawn ones have too few labels that can be read.
-    assert told >= len(panels) - 2
+    assert told >= len(panels) - 1
 
 
 def test_upright_panels_wider_than_high_are_left_alone(panels: list[Pictured]) -> None:

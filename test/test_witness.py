@@ -134,9 +134,7 @@ def test_boxes_that_are_off_each_another_way_are_no_boxes_of_the_picture(scenes:
     assert said.verdict == CONTRADICTED and "each another way" in said.reason
 
 
-@pytest.mark.parametrize(
-    ("kind", "numbers"), [("mirrored", (66, 73, 219, 303, 312, 375)), ("a third left", (9, 330, 529))]
-)
+@pytest.mark.parametrize(("kind", "numbers"), [("mirrored", (66, 73, 312)), ("a third left", (9, 529))])
 def test_boxes_that_lie_so_that_they_nearly_fit_are_refused(kind: str, numbers: tuple[int, ...]) -> None:
     """Mirrored ones on about every second button; a third of the boxes that a diagonal lattice explains as well."""
     for number in numbers:

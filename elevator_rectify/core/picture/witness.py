@@ -13,6 +13,7 @@ import numpy as np
 
 from elevator_rectify.core.config import NetworkConfig
 from elevator_rectify.core.detector.detect import find_boxes
+from elevator_rectify.core.detector.peaks import Boxes
 from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
 
 CONFIRMED, CONTRADICTED, UNSEEN = "confirmed", "contradicted", "unseen"
@@ -32,9 +33,11 @@ _HARDLY_SEEN, _LIKELY_HEAT = 0.3, 0.25
 # are off by more each, by their root mean square, are another picture's of much the same lattice (252 right panels have
 # .15 at most). So it is where this share of them is seen.
 _MOSTLY_SEEN, _COMMON_SHIFT, _OWN_SHIFT = 0.5, 0.2, 0.155
-# A picture in which so many things are seen, over the number of boxes, can show buttons; of right boxes more than such
-# a share is at a thing, off by less than _WELL_PLACED of its size (252 right panels: .62 and more).
-_SHOWS, _PLACED_SHARE, _WELL_PLACED = 0.6, 0.6, 0.2
+# A picture in which so many things are seen over the number of boxes, or so many that have no box, can show buttons; of
+# right boxes more than such a share is at a thing, off by less than _WELL_PLACED of its size (252 right panels: .62 and
+# more). Where hardly a box is at any of them, some things will do.
+_SHOWS, _SHOWS_ELSEWHERE, _PLACED_SHARE, _WELL_PLACED = 0.6, 0.4, 0.6, 0.2
+_SOME, _NONE_SHARE = 4, 0.1
 # A picture is sharp where a hundredth of it has gradients like this (grey levels a pixel); a box is empty where the
 # gradients in and around it are below that share of the picture's.
 _SHARP, _EMPTY_SHARE, _EMPTY = 25.0, 0.18, 0.6
@@ -53,35 +56,54 @@ class Opinion:
 def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig) -> Opinion:
     """Return whether the picture shows buttons at the boxes: centres (N, 2) and sizes (N, 2) in pixels."""
     found = find_boxes(image, config)
-    seen, shift = _seen(found.boxes_px[found.heat > _SEEN_HEAT], centres_px, sizes_px)
-    share = float(seen.mean())
-    off = float(np.linalg.norm(np.median(shift, axis=0))) if len(shift) else 0.0
-    own = np.linalg.norm(shift, axis=1)
-    each = float(np.sqrt((own**2).mean())) if len(own) else 0.0
-    if share >= _MOSTLY_SEEN and off >= _COMMON_SHIFT:
-        return Opinion(CONTRADICTED, f"the boxes are all off by {off:.2f} of their size from what the picture shows")
-    if share >= _MOSTLY_SEEN and each >= _OWN_SHIFT:
-        text = f"the boxes are off by {each:.2f} of their size, each another way, from what the picture shows"
-        return Opinion(CONTRADICTED, text)
-    if share >= _CONFIRMED_SHARE:
-        things = found.boxes_px[found.heat > _SEEN_HEAT]
-        return Opinion(
-            CONFIRMED, f"{share:.0%} of the boxes are seen in the picture", _nearest(things, centres_px, seen)
-        )
-    hardly = share < _HARDLY_SEEN
-    sure = found.is_button & (found.heat > (_LIKELY_HEAT if hardly else _SURE_HEAT))
-    elsewhere = _elsewhere(found.boxes_px[sure], centres_px)
-    enough = _ELSEWHERE if hardly else max(_ELSEWHERE, _ELSEWHERE_SHARE * len(seen))
-    if elsewhere >= enough:
-        text = f"{share:.0%} of the boxes are where the picture shows buttons, {elsewhere} buttons are elsewhere"
-        return Opinion(CONTRADICTED, text)
-    placed = float((own < _WELL_PLACED).sum()) / len(seen)
-    if placed < _PLACED_SHARE and (found.heat > _SEEN_HEAT).sum() >= _SHOWS * len(seen):
-        return Opinion(CONTRADICTED, f"only {placed:.0%} of the boxes are where the picture shows things like buttons")
+    things = found.boxes_px[found.heat > _SEEN_HEAT]
+    seen, shift = _seen(things, centres_px, sizes_px)
+    said = f"{seen.mean():.0%} of the boxes are seen in the picture"
+    displaced = _displaced(shift, len(seen))
+    if displaced:
+        return Opinion(CONTRADICTED, displaced)
+    if seen.mean() >= _CONFIRMED_SHARE:
+        return Opinion(CONFIRMED, said, _nearest(things, centres_px, seen))
+    other = _seen_elsewhere(found, centres_px, float(seen.mean())) or _ill_placed(things, centres_px, shift)
+    if other:
+        return Opinion(CONTRADICTED, other)
     empty = _empty_share(image, centres_px, sizes_px)
     if empty > _EMPTY:
         return Opinion(CONTRADICTED, f"{empty:.0%} of the boxes are on nothing in a sharp picture")
-    return Opinion(UNSEEN, f"{share:.0%} of the boxes are seen in the picture")
+    return Opinion(UNSEEN, said)
+
+
+def _displaced(shift: Array, number: int) -> str:
+    """Return how the boxes that are seen, of so many, are off from that: shift (S, 2) in sizes; '' if little."""
+    if len(shift) < max(1.0, _MOSTLY_SEEN * number):
+        return ""
+    off, each = np.linalg.norm(np.median(shift, axis=0)), np.sqrt((shift**2).sum(axis=1).mean())
+    if off >= _COMMON_SHIFT:
+        return f"the boxes are all off by {off:.2f} of their size from what the picture shows"
+    if each >= _OWN_SHIFT:
+        return f"the boxes are off by {each:.2f} of their size, each another way, from what the picture shows"
+    return ""
+
+
+def _seen_elsewhere(found: Boxes, centres_px: Array, share: float) -> str:
+    """Return how many buttons the picture surely shows that have no box, '' for few; share: of the boxes, seen."""
+    hardly = share < _HARDLY_SEEN
+    sure = found.is_button & (found.heat > (_LIKELY_HEAT if hardly else _SURE_HEAT))
+    elsewhere = _elsewhere(found.boxes_px[sure], centres_px)
+    if elsewhere < (_ELSEWHERE if hardly else max(_ELSEWHERE, _ELSEWHERE_SHARE * len(centres_px))):
+        return ""
+    return f"{share:.0%} of the boxes are where the picture shows buttons, {elsewhere} buttons are elsewhere"
+
+
+def _ill_placed(things: Array, centres_px: Array, shift: Array) -> str:
+    """Return how few boxes are well on one of the things (M, 4) that the picture shows, '' if many are, or it shows
+    hardly anything."""
+    number, seen = len(centres_px), len(shift)
+    placed = int((np.linalg.norm(shift, axis=1) < _WELL_PLACED).sum()) / number
+    many = len(things) >= _SHOWS * number or _elsewhere(things, centres_px) >= _SHOWS_ELSEWHERE * number
+    if placed >= _PLACED_SHARE or not (many or (len(things) >= _SOME and seen < _NONE_SHARE * number)):
+        return ""
+    return f"only {placed:.0%} of the boxes are where the picture shows things like buttons"
 
 
 def contradicted(fit: FitResult, opinion: Opinion) -> FitResult:
