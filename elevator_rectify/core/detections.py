@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +42,11 @@ class Usable:
         near = (centre - half < _BORDER_PX) | (centre + half > last - _BORDER_PX)
         small = self.sizes_px < _CUT_SHARE * np.median(self.sizes_px[known], axis=0)
         return np.asarray(known & (near & small).any(axis=1))
+
+    def without(self, left_out: BoolArray) -> Usable:
+        """Return the usable detections but those (M,) that are left out."""
+        kept = ~left_out
+        return replace(self, index=self.index[kept], rays=self.rays[kept], sizes_px=self.sizes_px[kept])
 
     @cached_property
     def telling_sizes_px(self) -> Array:

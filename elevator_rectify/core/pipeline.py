@@ -11,6 +11,7 @@ from elevator_rectify.core.attempts import best_attempt, grew, tracked
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.lattice.marks import MARK, marks_as_before, second_lines
 from elevator_rectify.core.left_out import undoubted
 from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
@@ -106,15 +107,33 @@ def _fit(
     if refused is not None:
         return _by_outlines(usable, camera, config, image, refused)
     if config.method == "joint":
-        last = tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
+        last = _tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
         if last is not None and previous is not None and not grew(last, previous):
             return last
-        fresh = undoubted(
-            best_attempt(usable, camera, sigma, config, image).result, usable, camera, sigma, config, image
-        )
+        fresh = undoubted(_searched(usable, camera, sigma, config, image), usable, camera, sigma, config, image)
         return last if last is not None and last.ok and not (fresh.ok and fresh.inliers > last.inliers) else fresh
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
     return paper_fit(fit, usable, camera, config)
+
+
+def _tracked(
+    usable: Usable, camera: Camera, sigma: float, config: Config, previous: FitResult, image: Image | None
+) -> FitResult | None:
+    """Return the previous fit moved to the buttons, without the marks beside them; None where it explains them not."""
+    buttons = usable.without(marks_as_before(previous, usable.rays, usable.log_sizes))
+    return tracked(buttons, camera, sigma, config, previous, image)
+
+
+def _searched(usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None) -> FitResult:
+    """Return the best fit to the buttons, without the marks beside every one that would double the grid."""
+    fit = best_attempt(usable, camera, sigma, config, image).result
+    smaller, by = second_lines(fit, usable.index, usable.log_sizes)
+    if by > MARK and (~smaller).sum() >= config.input.min_detections:
+        return best_attempt(usable.without(smaller), camera, sigma, config, image).result
+    if by > 0.0 and fit.ok:
+        reason = "boxes are smaller on every second line: marks beside the buttons? see detections.ignore"
+        return replace(fit, status="ambiguous", reason=reason)
+    return fit
 
 
 def admitted(
