@@ -14,6 +14,7 @@ from elevator_rectify.core.attempts import best_attempt
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.detector.detect import find_boxes
+from elevator_rectify.core.detector.peaks import centres_of
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, FitResult, Image
@@ -54,8 +55,7 @@ def _left_out(usable: Usable, camera: Camera, image: Image, config: Config) -> A
     """Return centres and sizes (M, 4) in pixels of the buttons that our own detector sees and no box has."""
     found = find_boxes(image, config.network)
     boxes = found.boxes_px[found.is_button & (found.heat > _HEAT)]
-    # The network counts pixels by their corners.
-    centres, sizes = (boxes[:, :2] + boxes[:, 2:]) / 2.0 - 0.5, np.maximum(boxes[:, 2:] - boxes[:, :2], 1.0)
+    centres, sizes = centres_of(boxes), np.maximum(boxes[:, 2:] - boxes[:, :2], 1.0)
     off = np.abs(centres[:, None] - camera.pixels(usable.rays)[None]) / sizes[:, None]
     apart = off.max(axis=2).min(axis=1, initial=np.inf) > _APART
     return np.asarray(np.column_stack([centres, sizes])[apart])

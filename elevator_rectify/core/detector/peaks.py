@@ -29,6 +29,12 @@ class Boxes:
     is_button: BoolArray
 
 
+def centres_of(boxes_px: Array) -> Array:
+    """Return the centres (N, 2) of boxes (N, 4), counted from the middle of the corner pixel as elsewhere; the network
+    counts from its corner."""
+    return np.asarray((boxes_px[:, :2] + boxes_px[:, 2:]) / 2.0 - 0.5)
+
+
 def peaks(found: HeatMap) -> Boxes:
     """Return the boxes at the local maxima of both classes, of overlapping ones the best."""
     spread = np.ones((3, 3), np.uint8)

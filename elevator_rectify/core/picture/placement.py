@@ -13,6 +13,7 @@ import numpy as np
 
 from elevator_rectify.core.config import NetworkConfig
 from elevator_rectify.core.detector.detect import find_boxes
+from elevator_rectify.core.detector.peaks import centres_of
 from elevator_rectify.core.types import Array, Detection, Image
 
 # Buttons that are as sure as this count, and a box is on one whose centre is within this share of its size.
@@ -44,7 +45,7 @@ def placement(image: Image, detections: Sequence[Detection], config: NetworkConf
     if len(given) < _FEWEST or len(buttons) < _FEWEST:
         return None
     given = given[np.linspace(0, len(given) - 1, min(len(given), _MOST)).astype(int)]
-    centres, sizes = (buttons[:, :2] + buttons[:, 2:]) / 2.0 - 0.5, buttons[:, 2:] - buttons[:, :2]
+    centres, sizes = centres_of(buttons), buttons[:, 2:] - buttons[:, :2]
     best, most = None, 0
     for scale, offset in _maps(given, centres):
         number = _on_buttons(scale, offset, given, centres, sizes)

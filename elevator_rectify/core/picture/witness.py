@@ -13,7 +13,7 @@ import numpy as np
 
 from elevator_rectify.core.config import NetworkConfig
 from elevator_rectify.core.detector.detect import find_boxes
-from elevator_rectify.core.detector.peaks import Boxes
+from elevator_rectify.core.detector.peaks import Boxes, centres_of
 from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
 
 CONFIRMED, CONTRADICTED, UNSEEN = "confirmed", "contradicted", "unseen"
@@ -118,7 +118,7 @@ def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray,
     (S, 2) of those, in sizes, as far as the thing's larger box (a cap with its plate) does not explain it."""
     if not len(things):
         return np.zeros(len(centres_px), dtype=bool), np.zeros((0, 2))
-    off = (centres_px[:, None] - _centres(things)[None]) / sizes_px[:, None]
+    off = (centres_px[:, None] - centres_of(things)[None]) / sizes_px[:, None]
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     own = off[np.arange(len(off)), nearest]
     larger = np.maximum(things[nearest, 2:] - things[nearest, :2] - sizes_px, 0.0) / (2.0 * sizes_px)
@@ -133,8 +133,8 @@ def _seen(things: Array, centres_px: Array, sizes_px: Array) -> tuple[BoolArray,
 
 def _nearest(things: Array, centres_px: Array, seen: BoolArray) -> Array:
     """Return centres and sizes (N, 4) of the things (M, 4) nearest to the boxes that are seen, NaN for the others."""
-    nearest = things[np.linalg.norm(centres_px[:, None] - _centres(things)[None], axis=2).argmin(axis=1)]
-    return np.where(seen[:, None], np.column_stack([_centres(nearest), nearest[:, 2:] - nearest[:, :2]]), np.nan)
+    nearest = things[np.linalg.norm(centres_px[:, None] - centres_of(things)[None], axis=2).argmin(axis=1)]
+    return np.where(seen[:, None], np.column_stack([centres_of(nearest), nearest[:, 2:] - nearest[:, :2]]), np.nan)
 
 
 def _whole(inside: Array, centre_px: Array, size_px: Array) -> Array | None:
@@ -155,13 +155,8 @@ def _whole(inside: Array, centre_px: Array, size_px: Array) -> Array | None:
 def _elsewhere(buttons: Array, centres_px: Array) -> int:
     """Count the buttons (M, 4) that have no box's centre at theirs."""
     size = np.maximum(buttons[:, 2:] - buttons[:, :2], 1.0)
-    off = np.linalg.norm((_centres(buttons)[:, None] - centres_px[None]) / size[:, None], axis=2)
+    off = np.linalg.norm((centres_of(buttons)[:, None] - centres_px[None]) / size[:, None], axis=2)
     return int((off.min(axis=1, initial=np.inf) > _NEAR).sum())
-
-
-def _centres(boxes: Array) -> Array:
-    # The network counts pixels by their corners.
-    return np.asarray((boxes[:, :2] + boxes[:, 2:]) / 2.0 - 0.5)
 
 
 def _empty_share(image: Image, centres_px: Array, sizes_px: Array) -> float:
