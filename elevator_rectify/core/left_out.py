@@ -20,7 +20,7 @@ from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, FitResult, Image
 
 # Fits that fill fewer of their cells, or lean by more, are looked at again.
-_SPARSE, _LEANING_RAD = 0.5, np.deg2rad(25.0)
+_SPARSE, _LEANING_RAD = 0.7, np.deg2rad(25.0)
 # So many buttons must have been left out, this hot, and as far from every box, in sizes, to ask what they say.
 _LEAST, _HEAT, _APART = 2, 0.25, 0.6
 # Another lattice differs by so much; the same one, from boxes alone, by less.
