@@ -7,7 +7,8 @@ import numpy as np
 from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.types import Array, BoolArray, FitResult, IntArray
 
-# Half the size of a button and less is a mark; of nearly its size is a plate with the label, or the button beside one.
+# Smaller than a button by this in ln size (six tenths of it) is a mark; of nearly its size is a plate with the label,
+# or the button beside one.
 MARK = 0.5
 # So many lines at least, in which boxes on every second line are smaller by this in ln size. Of 200 real panels one is
 # like that, and it has a plate beside every button.
