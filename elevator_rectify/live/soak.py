@@ -17,7 +17,7 @@ from elevator_rectify.progress import progress
 
 _ROWS = 10
 _STATUS, _POSE = "/elevator_rectify/status", "/elevator_rectify/panel_pose"
-# Growth after the first tenth, in which buffers and caches fill.
+# Growth after the first tenth is answered, not only sent: the first answers fill buffers and caches.
 _FLAT_MEGABYTES = 20.0
 HEADER = f"{'frames':>8}{'memory MB':>11}{'answered':>10}{'Hz':>7}{'med ms':>8}{'p95 ms':>8}"
 
@@ -44,6 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
                 sent[stamp] = driver.send(frames.messages(k, stamp))
                 driver.spin(begin + (k + 1) / options.rate - time.perf_counter())
                 if (k + 1) % max(1, options.frames // _ROWS) == 0:
+                    if not memory:
+                        driver.catch_up(_STATUS, sent)
                     memory.append(resident_megabytes(pid))
                     tenth = dict(list(sent.items())[-(options.frames // _ROWS) :])
                     print(_row(k + 1, memory[-1], driver, tenth, time.perf_counter() - at), flush=True)
