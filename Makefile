@@ -40,7 +40,7 @@ $(VENV)/ready-$(VERSIONS): $(wildcard config/requirements-*.txt)
 	touch $@
 
 # Stand-ins for message packages that are not on PyPI; where ROS is installed, its own are used.
-$(VENV)/ready-interfaces: $(VENV)/ready-$(VERSIONS) $(wildcard test/interfaces/*/msg/*.msg test/interfaces/build.py)
+$(VENV)/ready-interfaces: $(VENV)/ready-$(VERSIONS) $(wildcard test/interfaces/*/msg/*.msg test/interfaces/build.py elevator_rectify_interfaces/*/*.action)
 ifneq ($(ROS),installed)
 	$(BIN)/pip install --disable-pip-version-check --progress-bar on -r config/requirements-interfaces.txt
 	$(BIN)/python test/interfaces/build.py

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elevator_rectify.core import Config, fit_panel, rectify_image
+from elevator_rectify.core import Config, ScaleConfig, fit_panel, rectify_image
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.view.draw import draw_rectified
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.config import NodeConfig, PairingConfig
 from elevator_rectify.ros.messages import make_ros
 from elevator_rectify.ros.output import output_messages
 from elevator_rectify.ros.pairing import Frame
+from elevator_rectify.ros.poses import rotation_of
 from test.messages import camera_info, detections, header, image
 from test.scenes import scene
 
@@ -139,3 +141,19 @@ def test_messages_of_another_camera_are_refused() -> None:
     far.header.frame_id = "left_camera"
     answer, _ = answer_frame(frame(1, depth=far), Config())
     assert answer.fit.ok and status(answer)["scale"].startswith("unknown: depth: header.frame_id")
+
+
+def test_the_docking_pose_needs_no_other_rotation_than_the_docking_servers_own() -> None:
+    answer, _ = answer_frame(frame(1), Config(scale=ScaleConfig(column_pitch_m=0.045)))
+    (message,) = [m for topic, m in output_messages(answer, make_ros) if topic == "docking_pose"]
+    turn, at = message.pose.orientation, message.pose.position
+    # SimpleChargingDock's defaults: roll -1.57, pitch 1.57 about the axes of the detected pose.
+    own = rotation(np.array([0.0, np.pi / 2, 0.0])) @ rotation(np.array([-np.pi / 2, 0.0, 0.0]))
+    dock = rotation_of(turn.x, turn.y, turn.z, turn.w) @ own
+    R = answer.fit.R_camera_panel
+    # The dock's x points to where the robot drives, into the panel, and its z up.
+    np.testing.assert_allclose(dock, np.column_stack([R[:, 2], -R[:, 0], -R[:, 1]]), atol=1e-9)
+    middle = answer.fit.grid_points.reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose([at.x, at.y, at.z], middle, atol=1e-9)
+    unscaled, _ = answer_frame(frame(2), Config())
+    assert not [topic for topic, _ in output_messages(unscaled, make_ros) if topic == "docking_pose"]

@@ -121,7 +121,7 @@ def answer_frame(
     if given.image is not None and reads:
         fit = with_labels(fit, given.image, given.camera)
         watch.lap("read")
-    choice = _chosen(fit, target, config, node, frame.detections) if target else None
+    choice = chosen(fit, target, config, node, frame.detections) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
         view = rectify_image(given.image, given.camera, fit, config.view)
@@ -154,7 +154,7 @@ def _with_found(given: Inputs, frame: Frame, last: Found | None, config: Config)
     return replace(given, detections=list(found.detections), found=found)
 
 
-def _chosen(fit: GridFit, target: str, config: Config, node: NodeConfig, detections: Any) -> Choice:
+def chosen(fit: GridFit, target: str, config: Config, node: NodeConfig, detections: Any) -> Choice:
     """Return the button that is asked for; where no label is known, the reason names the parameter that may be it."""
     choice = find_button(fit, target, config.target)
     settled = node.detections.numbers_are_labels or node.detections.labels

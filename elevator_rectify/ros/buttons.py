@@ -24,15 +24,21 @@ def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: 
 
 def _detection(fit: GridFit, button: Button, header: Any, make: Make) -> Any:
     pose = pose_of(button.point, quaternion(fit.R_camera_panel), make)
-    covariance = message_covariance(fit, button.panel)
-    if fit.metric:
-        covariance[:3, :3] = button.covariance
+    covariance = button_covariance(fit, button)
     hypothesis = make("vision_msgs/msg/ObjectHypothesis", class_id=button.label, score=_score(button))
     with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
     result = make("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
     size = make("geometry_msgs/msg/Vector3", x=float(button.size[0]), y=float(button.size[1]), z=0.0)
     box = make("vision_msgs/msg/BoundingBox3D", center=pose, size=size)
     return make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=_id(button))
+
+
+def button_covariance(fit: GridFit, button: Button) -> Array:
+    """Return the (6, 6) covariance of a button's place and of its direction, as it is published."""
+    covariance = message_covariance(fit, button.panel)
+    if fit.metric:
+        covariance[:3, :3] = button.covariance
+    return covariance
 
 
 def _id(button: Button) -> str:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -18,9 +19,12 @@ from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 from elevator_rectify.core.detector.follow import Found
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import aliases
+from elevator_rectify.core.reading.target import Choice
 from elevator_rectify.core.track import Track
-from elevator_rectify.ros.answer import Answer, answer_frame
+from elevator_rectify.ros.answer import Answer, answer_frame, chosen
 from elevator_rectify.ros.convert import class_labels, stamp_ns
+from elevator_rectify.ros.finding import FindButton, action
+from elevator_rectify.ros.frames import Frames
 from elevator_rectify.ros.hints import Hints, Silence
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.output import (
@@ -78,6 +82,7 @@ class ElevatorRectify(Node):
         self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
         self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
         self._tf = self._tf_publisher() if self.node_config.publish_tf else None
+        self._finding = FindButton(self, Frames(self)) if action("FindButton") else None
         self._subscribe_all()
         self._worker = threading.Thread(target=self._work, name="worker", daemon=True)
         self._worker.start()
@@ -198,7 +203,8 @@ class ElevatorRectify(Node):
         jumps, track = self._track
         if jumps != self.pairing.jumps:
             jumps, track = self.pairing.jumps, None
-        if any(self._listened(topic) for topic in ("buttons", "markers")):
+        asked = self._finding is not None and self._finding.wanted
+        if asked or any(self._listened(topic) for topic in ("buttons", "markers")):
             wanted.append("labels")
         if self.node_config.measure and self._hints.placements.wanted:
             wanted.append("placement")
@@ -211,6 +217,15 @@ class ElevatorRectify(Node):
         if answer.fit.status == "contradicted" and self._hints.advice:
             answer = replace(answer, fit=replace(answer.fit, reason=f"{answer.fit.reason}; {self._hints.advice}"))
         self._publish(answer)
+        if asked and self._finding is not None:
+            self._finding.look(answer, partial(self._choose, answer, frame))
+
+    def _choose(self, answer: Answer, frame: Frame, label: str, max_lateral_std_m: float) -> Choice:
+        """Return the button of a label in an answered frame."""
+        target = self.config.target
+        most = max_lateral_std_m or target.max_lateral_std_m
+        config = replace(self.config, target=replace(target, max_lateral_std_m=most))
+        return chosen(answer.fit, label, config, self.node_config, frame.detections)
 
     def _publish(self, answer: Answer) -> None:
         """Publish what somebody listens to; the status comes last and includes the time of the others."""
@@ -252,6 +267,8 @@ class ElevatorRectify(Node):
         """Stop the worker, say what was refused, leave the graph."""
         self._waiting.close()
         self._worker.join(timeout=0.5)
+        if self._finding is not None:
+            self._finding.close()
         if self.context.ok():
             verdicts, dropped = dict(self.statistics.verdicts), dict(self.pairing.dropped)
             self.get_logger().info(f"answered or refused: {verdicts}, dropped: {dropped}")

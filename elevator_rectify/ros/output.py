@@ -27,6 +27,7 @@ TOPICS = {
     "rectified/overlay": "sensor_msgs/msg/Image",
     "grid_centers": "geometry_msgs/msg/PoseArray",
     "panel_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "docking_pose": "geometry_msgs/msg/PoseStamped",
     "markers": "visualization_msgs/msg/MarkerArray",
     "overlay": "sensor_msgs/msg/Image",
     "status": "diagnostic_msgs/msg/DiagnosticStatus",
@@ -61,6 +62,8 @@ def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] 
     if fit.ok:
         makers["grid_centers"] = lambda: grid_message(fit, header, make)
         makers["panel_pose"] = lambda: pose_message(fit, header, make)
+        if fit.metric:
+            makers["docking_pose"] = lambda: docking_message(fit, header, make)
         makers |= _target_makers(answer, header, make)
         makers["buttons"] = lambda: buttons_message(fit, answer.buttons, header, make)
     for topic, picture in (("overlay", answer.overlay), ("rectified/overlay", answer.rectified_overlay)):
@@ -140,6 +143,16 @@ def pose_message(fit: GridFit, header: Any, make: Make) -> Any:
     pose = pose_of(fit.t_camera_panel, quaternion(fit.R_camera_panel), make)
     with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
     return make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=with_covariance)
+
+
+def docking_message(fit: GridFit, header: Any, make: Make) -> Any:
+    """Return the middle of the cells as a PoseStamped with the axes of a tag: x to the right, y up, z out of the panel.
+
+    With these axes opennav_docking's `detected_dock_pose` needs no other rotation than its default one.
+    """
+    R = fit.R_camera_panel * [1.0, -1.0, -1.0]
+    middle = (fit.grid_points[0, 0] + fit.grid_points[-1, -1]) / 2.0
+    return make("geometry_msgs/msg/PoseStamped", header=header, pose=pose_of(middle, quaternion(R), make))
 
 
 def tf_message(fit: GridFit, frame: str, header: Any, make: Make) -> Any:

@@ -34,6 +34,12 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
+def rotation_of(x: float, y: float, z: float, w: float) -> Array:
+    """Return the rotation matrix of a unit quaternion."""
+    skew = np.cross(np.eye(3), np.array([x, y, z]))
+    return np.asarray(np.eye(3) + 2.0 * w * skew + 2.0 * skew @ skew)
+
+
 def pose_of(t: Array, q: tuple[float, float, float, float], make: Make) -> Any:
     """Return a geometry_msgs/Pose."""
     position = make("geometry_msgs/msg/Point", x=float(t[0]), y=float(t[1]), z=float(t[2]))

@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-PACKAGES = ("vision_msgs", "tf2_msgs")
+# Beside this package: a part of the product, not a stand-in.
+OURS = "elevator_rectify_interfaces"
+PACKAGES = {"vision_msgs": HERE / "vision_msgs", "tf2_msgs": HERE / "tf2_msgs", OURS: HERE.parent.parent / OURS}
 PREFIX = Path(sys.prefix)
 
 
@@ -48,7 +50,7 @@ def build(package: str, folder: Path) -> None:
     cmake = str(Path(sysconfig.get_path("scripts")) / "cmake")
     options = [f"-DCMAKE_INSTALL_PREFIX={PREFIX}", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={sys.executable}"]
     steps = {
-        "configuring": [cmake, "-S", str(HERE / package), "-B", str(folder), *options],
+        "configuring": [cmake, "-S", str(PACKAGES[package]), "-B", str(folder), *options],
         "compiling": [cmake, "--build", str(folder), "--parallel", str(os.cpu_count() or 1)],
         "installing": [cmake, "--install", str(folder)],
     }
@@ -65,9 +67,16 @@ def installed(package: str) -> bool:
     return spec is not None and spec.origin is not None
 
 
+def changed(package: str) -> bool:
+    """Tell whether the sources are younger than what was built of them here."""
+    built = PREFIX / "share" / package / "package.xml"
+    sources = [path.stat().st_mtime for path in PACKAGES[package].rglob("*") if path.is_file()]
+    return built.exists() and max(sources) > built.stat().st_ctime
+
+
 def main() -> None:
     """Build what is missing."""
-    missing = [package for package in PACKAGES if not installed(package)]
+    missing = [package for package in PACKAGES if not installed(package) or changed(package)]
     if not missing:
         return
     point_to_this_machine()

@@ -28,6 +28,8 @@ _READABLE = 0.7
 # On so many of 624 real panels is exactly one button of the name. The reader was trained to expect each label on so
 # many of the buttons that it reads.
 _ON_PANELS = {"open": 0.6, "close": 0.56, "alarm": 0.47, "G": 0.27, "call": 0.14, "B1": 0.1, "B": 0.08, "CH": 0.08}
+# So many other labels of a button are told, of those that are so likely.
+_MOST_TOLD, _TOLD = 3, 1e-3
 _ON_PANELS_USUAL, _READ_SHARE, _MOST_NAMED = 0.05, 0.014, 0.995
 
 
@@ -167,3 +169,13 @@ def probability_of(reading: Reading, name: str) -> Array:
     """Return (K,) the probability that each place's button is labelled `name`."""
     floor = _of_floor(reading, name)
     return np.asarray(_named(reading, name) * reading.present) if floor is None else floor
+
+
+def others_at(reading: Reading, k: int, name: str) -> tuple[tuple[str, float], ...]:
+    """Return what else than `name` the button at place k may be labelled, likeliest first, with probabilities."""
+    labels = {label for label, _ in reading.places.read_at(k)} | {reading.places.label[k]}
+    if reading.floors is not None:
+        labels |= {str(n) for n in reading.floors.numbers}
+    found = [(label, float(probability_of(reading, label)[k])) for label in sorted(labels - {name, ""})]
+    likely = sorted((item for item in found if item[1] >= _TOLD), key=lambda item: -item[1])
+    return tuple(likely[:_MOST_TOLD])

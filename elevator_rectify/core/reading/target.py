@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from elevator_rectify.core.config import TargetConfig
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.misread import is_number
-from elevator_rectify.core.reading.panel import probability_of
+from elevator_rectify.core.reading.panel import others_at, probability_of
 from elevator_rectify.core.types import Array, Button
 
 DEFAULT_TARGET = TargetConfig()
@@ -28,11 +28,14 @@ _UPWARDS, _FEWEST_PAIRS = 0.7, 6
 
 @dataclass(frozen=True)
 class Choice:
-    """The button that was asked for, or None and why: status and reason."""
+    """The button that was asked for, or None and why: status and reason; probability: that it has the label;
+    others: labels that it may have instead, with their probabilities."""
 
     button: Button | None
     status: str
     reason: str = ""
+    probability: float = 0.0
+    others: tuple[tuple[str, float], ...] = ()
 
 
 def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET) -> Choice:
@@ -61,7 +64,8 @@ def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET
     others = _other_readings(fit, button) - {name, ""}
     if others:
         return Choice(None, "two_candidates", f"the cell of {name} is read as {', '.join(sorted(others))} too")
-    return _decided(fit, button, name, first * (1.0 - second), config)
+    choice = _decided(fit, button, name, first * (1.0 - second), config)
+    return choice if choice.button is None else replace(choice, others=others_at(fit.reading, int(order[0]), name))
 
 
 def _place_of(button: Button) -> str:
@@ -94,7 +98,7 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
     if over not in ("", name) and not _upright(fit.buttons):
         reason = f"{name} is {over} upside down, and too few floors are surely read to tell"
         return Choice(None, "unsure_label", reason)
-    return _placed(fit, button, config)
+    return replace(_placed(fit, button, config), probability=probability)
 
 
 def upside_down(label: str) -> str:

@@ -1,0 +1,149 @@
+"""The action find_button over real DDS: goals, feedback, results, and all that may be wrong with a goal."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.action import ActionClient
+
+from elevator_rectify.ros.finding import action
+from test.harness import PREFIX, Harness, start, stop
+from test.messages import vision_detections
+from test.test_live import TRUTH, frame
+
+INTERFACE = action("FindButton")
+pytestmark = pytest.mark.skipif(
+    INTERFACE is None, reason="elevator_rectify_interfaces is not installed: make test builds it"
+)
+VISION = {"detections": "vision_msgs/msg/Detection2DArray"}
+LABELS = [d.label for d in TRUTH.detections]
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+
+
+class Client:
+    """Asks a node for buttons."""
+
+    def __init__(self, harness: Harness) -> None:
+        self.harness, self.stamp = harness, 0
+        self._client = ActionClient(harness.node, INTERFACE, PREFIX + "find_button")
+        assert harness.until(self._client.server_is_ready)
+
+    def ask(self, label: str, **goal: Any) -> tuple[Any, list[Any]]:
+        """Return the handle of an accepted goal, and the list that its feedback goes to."""
+        feedback: list[Any] = []
+        asked = INTERFACE.Goal(label=label, **{"timeout_s": 20.0, **goal})
+        sent = self._client.send_goal_async(asked, feedback_callback=lambda m: feedback.append(m.feedback))
+        assert self.harness.until(sent.done)
+        assert sent.result().accepted
+        return sent.result(), feedback
+
+    def frames(self, number: int, shift_px: float = 0.0) -> None:
+        for _ in range(number):
+            self.stamp += 1
+            centres = TRUTH.centres_px + shift_px * self.stamp
+            self.harness.send(**frame(self.stamp, detections=vision_detections(self.stamp, centres, LABELS)))
+            assert self.harness.answered(self.stamp)
+
+    def result(self, handle: Any) -> tuple[int, Any]:
+        got = handle.get_result_async()
+        assert self.harness.until(got.done, 10.0)
+        return got.result().status, got.result().result
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    process: subprocess.Popen[str] = start("-p", "detections.numbers_are_labels:=true", "-p", "measure:=false")
+    harness = Harness(VISION)
+    try:
+        assert harness.until(harness.connected)
+        yield Client(harness)
+        stop(process)
+    finally:
+        harness.close()
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def place(pose: Any) -> Any:
+    at = pose.pose.pose.position
+    return np.array([at.x, at.y, at.z])
+
+
+def test_a_goal_is_answered_once_enough_frames_agree(client: Client) -> None:
+    handle, feedback = client.ask("7", agreeing=3, of=4)
+    client.frames(2)
+    assert client.harness.until(lambda: len(feedback) == 2)
+    assert (feedback[1].status, feedback[1].frames, feedback[1].found) == ("found", 2, 2)
+    client.frames(1)
+    status, result = client.result(handle)
+    assert (status, result.status, result.frames, result.agreed) == (SUCCEEDED, "found", 3, 3)
+    seven = next(k for k, button in enumerate(TRUTH.panel.buttons) if button.label == "7")
+    truth = TRUTH.R_camera_panel @ TRUTH.panel.points_m[seven] + TRUTH.t_camera_panel
+    assert np.linalg.norm(place(result.pose) - truth) < 0.03 * np.linalg.norm(truth)
+    assert np.linalg.norm(place(result.pose) - place(result.standoff)) == pytest.approx(0.1)
+    assert result.pose.header.frame_id == "camera" and result.pose.header.stamp.nanosec > 0
+    covariance = np.array(result.pose.pose.covariance).reshape(6, 6)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    assert 0.9 < result.label_probability <= 1.0
+
+
+def test_a_label_that_is_not_there_is_refused_after_the_last_frame(client: Client) -> None:
+    handle, _ = client.ask("99", agreeing=2, of=3)
+    client.frames(3)
+    status, result = client.result(handle)
+    assert (status, result.status) == (ABORTED, "unknown_label") and "known are" in result.reason
+
+
+def test_two_goals_are_answered_each_with_its_own(client: Client) -> None:
+    first, second = (client.ask(label, agreeing=2, of=2)[0] for label in ("3", "12"))
+    client.frames(2)
+    places = [place(client.result(handle)[1].pose) for handle in (first, second)]
+    assert np.linalg.norm(places[0] - places[1]) > 0.04
+
+
+def test_a_camera_that_moves_is_unsteady(client: Client) -> None:
+    handle, _ = client.ask("7", agreeing=4, of=4)
+    client.frames(4, shift_px=6.0)
+    status, result = client.result(handle)
+    assert (status, result.status) == (ABORTED, "unsteady")
+
+
+def test_a_withdrawn_goal_and_one_without_frames_end(client: Client) -> None:
+    handle, _ = client.ask("7")
+    client.frames(1)
+    withdrawn = handle.cancel_goal_async()
+    assert client.harness.until(withdrawn.done)
+    status, result = client.result(handle)
+    assert (status, result.status) == (CANCELED, "cancelled")
+    handle, _ = client.ask("7", timeout_s=0.3)
+    status, result = client.result(handle)
+    assert (status, result.status, result.frames) == (ABORTED, "no_frames", 0)
+
+
+@pytest.mark.parametrize(
+    ("goal", "code"),
+    [
+        ({"label": "7", "timeout_s": 0.0}, "bad_request"),
+        ({"label": "7", "timeout_s": float("nan")}, "bad_request"),
+        ({"label": "7", "agreeing": 8, "of": 7}, "bad_request"),
+        ({"label": "7", "max_lateral_std_m": -1.0}, "bad_request"),
+        ({"label": "  "}, "empty_target"),
+    ],
+)
+def test_a_goal_that_cannot_be_used_is_refused_at_once(client: Client, goal: dict[str, Any], code: str) -> None:
+    status, result = client.result(client.ask(**goal)[0])
+    assert (status, result.status) == (ABORTED, code) and result.reason
+
+
+def test_a_frame_that_cannot_be_known_is_named(client: Client) -> None:
+    handle, _ = client.ask("7", agreeing=1, of=1, frame_id="map")
+    client.frames(1)
+    status, result = client.result(handle)
+    assert (status, result.status) == (ABORTED, "unknown_frame")
+    # Where tf2_ros is installed, it says itself that there is no such frame.
+    assert "map" in result.reason or "needs tf2_ros" in result.reason
