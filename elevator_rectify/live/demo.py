@@ -19,6 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from elevator_rectify.arguments import add_bag, add_domain, bag_or_sample
+from elevator_rectify.recordings.page import write_page
 from elevator_rectify.recordings.report import Outcome, write_report
 from elevator_rectify.recordings.topics import OUTPUT_PREFIX, InputTopics, find_topics
 from elevator_rectify.ros.bag import BagWriter, bag_topics, bag_writer
@@ -146,7 +147,9 @@ def run(session: Session, own: bool = False) -> int:
         answered[name] = record(each, outputs[name], expected)
     rclpy.try_shutdown()
     code = 0
-    for name, outcomes in write_report(session.source, outputs, session.folder).items():
+    found, pictures = write_report(session.source, outputs, session.folder)
+    write_page(session.source, session.folder, found, pictures, {"arguments": " ".join(session.arguments)})
+    for name, outcomes in found.items():
         print(f"\n{name}:")
         if session.press:
             print(pressed(outcomes, session.press))

@@ -15,6 +15,7 @@ from elevator_rectify.core.config import METHODS, Config, flatten, with_values
 from elevator_rectify.core.view.text_grid import LEGEND
 from elevator_rectify.progress import progress
 from elevator_rectify.recordings.answering import Answered, Ended, answers
+from elevator_rectify.recordings.page import write_page
 from elevator_rectify.recordings.report import write_report
 from elevator_rectify.recordings.topics import OUTPUT_PREFIX, STREAM_TYPES, InputTopics, find_topics, recorded_topics
 from elevator_rectify.ros.bag import BadBag, bag_topics, bag_writer
@@ -148,7 +149,9 @@ def _replay_bag(bag: Path, output: Path, configs: dict[str, Config], options: ar
             code = _INTERRUPTED
             break
     # Nothing is written where nothing could be read.
-    write_report(bag, {method: path for method, path in outputs.items() if (path / "metadata.yaml").exists()}, output)
+    written = {method: path for method, path in outputs.items() if (path / "metadata.yaml").exists()}
+    settings = {f"--set {assignment.partition('=')[0]}": assignment.partition("=")[2] for assignment in options.set}
+    write_page(bag, output, *write_report(bag, written, output), settings)
     return code
 
 

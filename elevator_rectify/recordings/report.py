@@ -174,7 +174,7 @@ def _positions(message: Any) -> Array:
     return np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses]).reshape(-1, 3)
 
 
-def table(outcomes: dict[str, list[Outcome]]) -> str:
+def table(outcomes: Mapping[str, Sequence[Outcome]]) -> str:
     """Return methods by groups: the paper's metric x 1000, accepted, and against the truth where it is known."""
     lines = [
         f"{'method':<18}{'group':<14}{'images':>7}{'accepted':>9}{'metric x 1000':>15}"
@@ -253,22 +253,31 @@ def _tile(image: Image | None, text: str) -> Image:
     return canvas
 
 
-def write_report(source: Path, outputs: dict[str, Path], folder: Path) -> dict[str, list[Outcome]]:
-    """Print the table and write it beside one contact sheet per method; say where they are."""
+def write_report(
+    source: Path, outputs: dict[str, Path], folder: Path
+) -> tuple[dict[str, list[Outcome]], dict[str, dict[int, Pictures]]]:
+    """Print the table and write it beside one contact sheet per method; say where they are.
+
+    Returns by method the outcomes and, of those that are shown, the pictures by stamp.
+    """
     outcomes = {method: read_outcomes(source, output) for method, output in outputs.items()}
     text = table(outcomes)
     print(text)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "table.txt").write_text(text + "\n")
+    pictures = {}
     for method, rows in outcomes.items():
-        _write_pictures(method, rows, outputs[method], folder)
+        pictures[method] = _write_pictures(method, rows, outputs[method], folder)
         print(f"bag:      {outputs[method]}")
     print(f"table:    {folder / 'table.txt'}")
-    return outcomes
+    return outcomes, pictures
 
 
-def _write_pictures(method: str, rows: list[Outcome], output: Path, folder: Path) -> None:
-    """Write contact sheet and before_after of one method, of a long bag every n-th image; say what was written."""
+def _write_pictures(method: str, rows: list[Outcome], output: Path, folder: Path) -> dict[int, Pictures]:
+    """Write contact sheet and before_after of one method, of a long bag every n-th image; say what was written.
+
+    Returns the contact sheet's pictures by stamp.
+    """
     every = max(1, math.ceil(len(rows) / _MOST_TILES))
     chosen, last = rows[::every], last_viewed(rows)
     pictures = read_pictures(output, {row.stamp for row in [*chosen, *last]})
@@ -278,3 +287,4 @@ def _write_pictures(method: str, rows: list[Outcome], output: Path, folder: Path
     pair = before_after([pictures[row.stamp] for row in last if row.stamp in pictures])
     if pair is not None:
         cv2.imwrite(str(folder / f"before_after_{method}.jpg"), pair, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return {row.stamp: pictures[row.stamp] for row in chosen if row.stamp in pictures}
