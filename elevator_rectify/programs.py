@@ -11,6 +11,7 @@ from functools import partial
 # Program: module with a main(arguments) function, and what it is for.
 PROGRAMS = {
     "node": ("elevator_rectify.ros.node", "the ROS 2 node"),
+    "lifecycle_node": ("elevator_rectify.ros.lifecycle", "the node as a managed node"),
     "detector": ("elevator_rectify.ros.detector", "our own detector alone, as a node"),
     "look": ("elevator_rectify.recordings.look", "find and read the panel in photographs"),
     "replay": ("elevator_rectify.recordings.replay", "run a bag through the pipeline, offline"),
@@ -26,7 +27,7 @@ PROGRAMS = {
     "chaos": ("elevator_rectify.live.chaos", "the live node under everything that goes wrong, its counts checked"),
 }
 # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
-_WHOLE_COMMAND = ("node", "detector", "relay")
+_WHOLE_COMMAND = ("node", "lifecycle_node", "detector", "relay")
 # What is wrong with a disk, or with the rights on it, and not with a program.
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS)
 # Packages that some programs need, and how to get them.

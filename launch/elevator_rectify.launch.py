@@ -28,7 +28,7 @@ def node_of(context: LaunchContext) -> list[Node]:
     return [
         Node(
             package="elevator_rectify",
-            executable="node",
+            executable=context.launch_configurations["executable"],
             name="elevator_rectify",
             namespace=context.launch_configurations["namespace"],
             parameters=[context.launch_configurations["parameters"], chosen],
@@ -42,6 +42,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the description."""
     share = Path(get_package_share_directory("elevator_rectify"))
     files = {
+        "executable": ("node", "node, or lifecycle_node for the managed node"),
         "namespace": ("", "namespace of the node, and of the panel's frame on /tf"),
         "parameters": (str(share / "config" / "elevator_rectify.yaml"), "file of the parameters"),
         "fastdds_profile": (str(share / "config" / "fastdds.xml"), "Fast DDS profile with room for whole images"),

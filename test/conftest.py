@@ -17,7 +17,20 @@ settings.load_profile("fixed")
 
 
 # Of these files every test takes seconds; `colcon test` is to take about a minute.
-LONG = ("benchmark", "few", "finding", "joint", "live", "load", "measured", "node", "own_detector", "package", "replay")
+LONG = (
+    "benchmark",
+    "few",
+    "finding",
+    "joint",
+    "lifecycle",
+    "live",
+    "load",
+    "measured",
+    "node",
+    "own_detector",
+    "package",
+    "replay",
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -69,6 +69,7 @@ class NodeConfig(Checked):
     )
     read: bool = value(True, "labels by our own reader where the detections bring none")
     track: bool = value(True, "start from the fit of the frame before, and smooth by the covariances")
+    autostart: bool = value(True, "lifecycle_node: go to the state active at the start")
     max_waiting: int = value(8, "frames that may wait; beyond, the oldest is skipped", low=1, high=100)
     detections: DetectionsConfig = field(default_factory=DetectionsConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)

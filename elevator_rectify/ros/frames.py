@@ -63,3 +63,8 @@ class Frames:
             return f"frame_id {name}: {error}"
         at, turn = found.translation, found.rotation
         return Transform(name, rotation_of(turn.x, turn.y, turn.z, turn.w), np.array([at.x, at.y, at.z]))
+
+
+def panel_frame(node: Node, name: str) -> str:
+    """Return the name of the panel's frame: below the node's namespace, so that two cameras have one each."""
+    return name if name.startswith("/") else f"{node.get_namespace()}/{name}".lstrip("/")

@@ -24,7 +24,7 @@ from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame, chosen
 from elevator_rectify.ros.convert import class_labels, stamp_ns
 from elevator_rectify.ros.finding import FindButton, action
-from elevator_rectify.ros.frames import Frames
+from elevator_rectify.ros.frames import Frames, panel_frame
 from elevator_rectify.ros.hints import Hints, Silence
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.output import (
@@ -52,7 +52,7 @@ from elevator_rectify.ros.subscribe import (
 )
 from elevator_rectify.ros.waiting import Waiting
 
-_DIAGNOSTICS_SECONDS = 1.0
+_DIAGNOSTICS_SECONDS, _WORKER_SECONDS = 1.0, 0.5
 # A detector may be found so much later than the camera.
 _OWN_AFTER_SECONDS = 2.0
 _TF_DEPTH, _LONGEST_TARGET = 100, 100
@@ -74,18 +74,38 @@ class ElevatorRectify(Node):
         self._hints = Hints(self.node_config)
         self._target = ""
         self._found: Found | None = None
+        self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
+        self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
+        self._tf = self._tf_publisher() if self.node_config.publish_tf else None
+        self._finding = FindButton(self, Frames(self)) if action("FindButton") else None
+        self._subscribe_target()
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin with no track: subscribe, and let the worker compute."""
         self.pairing.needs_detections = self.node_config.detector != "own"
         self.pairing.needs_depth = self.node_config.use_depth
         self._started, self._had_detections = time.monotonic(), False
         self._track: tuple[int, Track | None] = (0, None)
         self._waiting = Waiting(self.node_config.max_waiting)
-        self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
-        self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
-        self._tf = self._tf_publisher() if self.node_config.publish_tf else None
-        self._finding = FindButton(self, Frames(self)) if action("FindButton") else None
         self._subscribe_all()
-        self._worker = threading.Thread(target=self._work, name="worker", daemon=True)
+        self._worker = threading.Thread(target=self._work, args=(self._waiting,), name="worker", daemon=True)
         self._worker.start()
+
+    def _end(self) -> None:
+        """Let nothing come any more, and the worker end."""
+        self.destroy_timer(self._timer)
+        self._detections.close()
+        for subscription in self._streams:
+            self.destroy_subscription(subscription)
+        self._end_worker()
+        # What waited is of no use later.
+        self.pairing = Pairing(self.node_config.pairing)
+
+    def _end_worker(self) -> None:
+        self._waiting.close()
+        self._worker.join(timeout=_WORKER_SECONDS)
 
     @staticmethod
     def _topics() -> dict[str, str]:
@@ -125,26 +145,22 @@ class ElevatorRectify(Node):
         streams.append(("sensor_msgs/msg/CameraInfo", "camera_info", self.pairing.add_camera_info))
         if self.node_config.use_depth:
             streams.append(("sensor_msgs/msg/Image", "depth", self.pairing.add_depth))
-        for kind, topic, add in streams:
-            subscribe(self, kind, topic, self._feeding(add), self.pairing.add_unreadable)
+        bad = self.pairing.add_unreadable
+        self._streams = [subscribe(self, kind, topic, self._feeding(add), bad) for kind, topic, add in streams]
+        kind, add = self.node_config.detections.type, self._feeding(self._add_detections)
+        self._detections = DetectionsSubscriber(self, kind, add, bad, self.steady)
+        topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}
+        self._silence = Silence({name: self.resolve_topic_name(topic) for name, topic in topics.items()})
+        self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
+        self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=self.steady)
+
+    def _subscribe_target(self) -> None:
         # A target set before the node started is that of a latched publisher; each publisher matches one of the two,
         # and that it does not match the other is no news.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for qos in (output_qos(), latched_qos()):
             string = ros_type("std_msgs/msg/String")
             self.create_subscription(string, "~/target", self._on_target, qos, event_callbacks=quiet)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._detections = DetectionsSubscriber(
-            self,
-            self.node_config.detections.type,
-            self._feeding(self._add_detections),
-            self.pairing.add_unreadable,
-            steady,
-        )
-        topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}
-        self._silence = Silence({name: self.resolve_topic_name(topic) for name, topic in topics.items()})
-        self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
-        self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=steady)
 
     def _add_image(self, message: Any) -> list[Frame]:
         """Pair the image, or hand it to our own detector where nobody publishes detections."""
@@ -186,9 +202,9 @@ class ElevatorRectify(Node):
                 skipped = GridFit(status="skipped", reason=reason, method=self.config.method)
                 self._publish(Answer(late.image.header, skipped))
 
-    def _work(self) -> None:
+    def _work(self, waiting: Waiting) -> None:
         """Answer frames until the queue is closed."""
-        while (frame := self._waiting.get()) is not None and self.context.ok():
+        while (frame := waiting.get()) is not None and self.context.ok():
             try:
                 self._answer(frame)
             except Exception as error:
@@ -234,7 +250,7 @@ class ElevatorRectify(Node):
             self._outputs[topic].publish(message)
             answer.stopwatch.lap("publish")
         if self._tf is not None and answer.fit.ok and answer.fit.metric:
-            frame, header = panel_frame(self), ros_header(answer.header, make_ros)
+            frame, header = panel_frame(self, self.node_config.panel_frame), ros_header(answer.header, make_ros)
             self._tf.publish(tf_message(answer.fit, frame, header, make_ros))
 
     def _listened(self, topic: str) -> bool:
@@ -265,20 +281,13 @@ class ElevatorRectify(Node):
 
     def close(self) -> None:
         """Stop the worker, say what was refused, leave the graph."""
-        self._waiting.close()
-        self._worker.join(timeout=0.5)
+        self._end_worker()
         if self._finding is not None:
             self._finding.close()
         if self.context.ok():
             verdicts, dropped = dict(self.statistics.verdicts), dict(self.pairing.dropped)
             self.get_logger().info(f"answered or refused: {verdicts}, dropped: {dropped}")
         self.destroy_node()
-
-
-def panel_frame(node: ElevatorRectify) -> str:
-    """Return the name of the panel's frame: below the node's namespace, so that two cameras have one each."""
-    name = node.node_config.panel_frame
-    return name if name.startswith("/") else f"{node.get_namespace()}/{name}".lstrip("/")
 
 
 def main(args: list[str] | None = None) -> int:

@@ -132,6 +132,12 @@ class DetectionsSubscriber:
         self._look()
         self._timer = node.create_timer(_LOOK_SECONDS, self._look, clock=clock)
 
+    def close(self) -> None:
+        """Subscribe no more."""
+        self._node.destroy_timer(self._timer)
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+
     def _look(self) -> None:
         """Subscribe to the published type; when a detector of another type takes over, follow it."""
         published = [i.topic_type for i in self._node.get_publishers_info_by_topic(self._name)]
