@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +14,7 @@ import pytest
 from rclpy.action import ActionClient
 
 from elevator_rectify.ros.finding import action
-from test.harness import PREFIX, Harness, start, stop
+from test.harness import ENVIRONMENT, PREFIX, ROOT, Harness, start, stop
 from test.messages import vision_detections
 from test.test_live import TRUTH, frame
 
@@ -147,3 +150,27 @@ def test_a_frame_that_cannot_be_known_is_named(client: Client) -> None:
     assert (status, result.status) == (ABORTED, "unknown_frame")
     # Where tf2_ros is installed, it says itself that there is no such frame.
     assert "map" in result.reason or "needs tf2_ros" in result.reason
+
+
+@pytest.mark.parametrize(("label", "code", "words"), [("7", 0, "press at "), ("99", 1, "unknown_label: no button")])
+def test_the_example_of_the_page_asks_and_is_answered(
+    client: Client, tmp_path: Path, label: str, code: int, words: str
+) -> None:
+    page = (ROOT / "docs" / "pressing.md").read_text()
+    example = tmp_path / "ask.py"
+    example.write_text(page.split("```python\n")[1].split("```")[0])
+    asking = subprocess.Popen(
+        [sys.executable, str(example), label],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        end = time.monotonic() + 20.0
+        while asking.poll() is None and time.monotonic() < end:
+            client.frames(1)
+        said, _ = asking.communicate(timeout=5.0)
+    finally:
+        asking.kill()
+    assert asking.returncode == code and words in said
