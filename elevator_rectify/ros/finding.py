@@ -19,8 +19,8 @@ from elevator_rectify.core.reading.target import Choice
 from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.buttons import button_covariance
 from elevator_rectify.ros.frames import Frames, Transform
-from elevator_rectify.ros.messages import Make, make_ros
-from elevator_rectify.ros.poses import pose_of, quaternion
+from elevator_rectify.ros.messages import make_ros
+from elevator_rectify.ros.poses import pose_of, quaternion, ros_header
 
 _INTERFACES = "elevator_rectify_interfaces.action"
 # Goals that have no more time, or were withdrawn, are noticed so soon.
@@ -35,7 +35,6 @@ class Seen:
     """What one frame says for a goal: the look, and of a found button what is answered of it."""
 
     look: Look
-    header: Any = None
     pose: Any = None
     standoff: Any = None
 
@@ -129,7 +128,7 @@ class FindButton:
         transform = self._frames.at(goal.frame, answer.header)
         if isinstance(transform, str):
             return Seen(Look(Choice(None, "unknown_frame", transform)))
-        return _placed(answer, choice, transform, make_ros)
+        return _placed(answer, choice, transform)
 
     def _feed_back(self, goal: Goal) -> None:
         last, feedback = goal.seen[-1].look.choice, self._type.Feedback()
@@ -188,25 +187,24 @@ class FindButton:
         return result
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph; a goal that still waits gets no result, as of a node that died."""
         self._server.destroy()
 
 
-def _placed(answer: Answer, choice: Choice, transform: Transform, make: Make) -> Seen:
+def _placed(answer: Answer, choice: Choice, transform: Transform) -> Seen:
     """Return the look at a button that was found, its poses in the frame of the transform."""
     button = choice.button
     assert button is not None
     fit = answer.fit
     covariance = transform.covariance(button_covariance(fit, button))
     turn = quaternion(transform.R @ fit.R_camera_panel)
-    stamp = make("builtin_interfaces/msg/Time", sec=answer.header.stamp.sec, nanosec=answer.header.stamp.nanosec)
-    header = make("std_msgs/msg/Header", stamp=stamp, frame_id=transform.name)
+    header = ros_header(answer.header, make_ros)
+    header.frame_id = transform.name
     points = button.point, button.point + answer.standoff_m * button.normal
     places = [transform.R @ point + transform.t for point in points]
     poses = []
     for place in places:
-        pose = make(
-            "geometry_msgs/msg/PoseWithCovariance", pose=pose_of(place, turn, make), covariance=covariance.ravel()
-        )
-        poses.append(make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=pose))
-    return Seen(Look(choice, places[0], covariance[:3, :3]), header, *poses)
+        at = pose_of(place, turn, make_ros)
+        pose = make_ros("geometry_msgs/msg/PoseWithCovariance", pose=at, covariance=covariance.ravel())
+        poses.append(make_ros("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=pose))
+    return Seen(Look(choice, places[0], covariance[:3, :3]), *poses)
