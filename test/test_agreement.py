@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from elevator_rectify.core import fit_panel
-from elevator_rectify.core.config import Config, ScaleConfig
+from elevator_rectify.core.config import Config, ScaleConfig, TargetConfig
 from elevator_rectify.core.reading.agreement import Look, Request, timed_out, verdict
-from elevator_rectify.core.reading.target import Choice, find_button
+from elevator_rectify.core.reading.target import Choice, _decided, find_button
 from elevator_rectify.core.types import Button
 from test.scenes import scene
 
@@ -102,3 +104,11 @@ def test_what_cannot_be_asked_is_said(request_: Request, words: str) -> None:
 
 def test_no_numbers_of_frames_are_the_usual_ones() -> None:
     assert Request("7", 1.0, 0, 0).usual() == Request("7", 1.0)
+
+
+def test_a_box_beside_the_grid_is_not_pressed_for_a_label_that_nobody_read() -> None:
+    assert BUTTON is not None
+    beside = replace(BUTTON, row=-1, column=-1, read="", label_source="inferred")
+    assert _decided(FIT, beside, "7", 0.99, TargetConfig()).status == "inferred_only"
+    assert _decided(FIT, beside, "7", 0.99, TargetConfig(allow_inferred=True, min_score=0.0)).status == "found"
+    assert _decided(FIT, replace(beside, read="7", label_source="read"), "7", 0.99, TargetConfig()).status == "found"

@@ -83,9 +83,11 @@ def _other_readings(fit: GridFit, button: Button) -> set[str]:
 def _decided(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
     """Refuse a button whose label is not sure."""
     as_read = canonical(button.read) == name
-    # What nobody detected, but the picture shows and the reader reads, is as good as detected.
-    if button.detection < 0 and not as_read and not config.allow_inferred:
-        return Choice(None, "inferred_only", f"{name} was neither detected nor read; target.allow_inferred is off")
+    # What nobody detected, but the picture shows and the reader reads, is as good as detected. Of a box beside the grid
+    # the floors' order says nothing: it may be no button.
+    if (button.detection < 0 or button.row < 0) and not as_read and not config.allow_inferred:
+        reason = f"{name} was not read, only inferred from the others; target.allow_inferred is off"
+        return Choice(None, "inferred_only", reason)
     if as_read and not button.score >= config.min_score:
         return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
     if probability < config.min_probability:
