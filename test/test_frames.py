@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core.geometry.rotations import rotation
+from elevator_rectify.core.types import Array
 from elevator_rectify.ros.frames import Frames, Transform
 from elevator_rectify.ros.poses import quaternion, rotation_of
 from test.messages import header
@@ -66,9 +67,10 @@ def test_a_covariance_turns_with_the_frame() -> None:
     A = rng.normal(size=(6, 6))
     there = Transform("map", R_MAP_CAMERA, T_MAP_CAMERA).covariance(A @ A.T)
     # What a sample of errors shows: each turned, then their covariance.
-    errors = rng.normal(size=(6, 6)) @ A.T
+    errors: Array = rng.normal(size=(6, 6)) @ A.T
     turned = np.concatenate([errors[:, :3] @ R_MAP_CAMERA.T, errors[:, 3:] @ R_MAP_CAMERA.T], axis=1)
-    sample = Transform("map", R_MAP_CAMERA, T_MAP_CAMERA).covariance(errors.T @ errors)
+    products: Array = errors.T @ errors
+    sample = Transform("map", R_MAP_CAMERA, T_MAP_CAMERA).covariance(products)
     np.testing.assert_allclose(sample, turned.T @ turned, atol=1e-9)
     np.testing.assert_allclose(np.linalg.eigvalsh(there), np.linalg.eigvalsh(A @ A.T), atol=1e-9)
 
