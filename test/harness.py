@@ -21,7 +21,6 @@ from elevator_rectify.ros.output import BUTTONS, TARGET, TOPICS
 ROOT = Path(__file__).parent.parent
 DOMAIN = 78
 ENVIRONMENT = {**dds_environment(DOMAIN), "ROS_PYTHON_CHECK_FIELDS": "1"}
-NODE = [sys.executable, "-m", "elevator_rectify", "node", "--ros-args", "-p", "scale.column_pitch_m:=0.045"]
 PREFIX = "/elevator_rectify/"
 INPUTS = {
     "image": "sensor_msgs/msg/Image",
@@ -92,8 +91,14 @@ class Harness:
         rclpy.shutdown(context=self.context)
 
 
-def start(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen([*NODE, *arguments], env=ENVIRONMENT, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+def command(*arguments: str, program: str = "node") -> list[str]:
+    node = [sys.executable, "-m", "elevator_rectify", program]
+    return [*node, "--ros-args", "-p", "scale.column_pitch_m:=0.045", *arguments]
+
+
+def start(*arguments: str, program: str = "node") -> subprocess.Popen[str]:
+    made = command(*arguments, program=program)
+    return subprocess.Popen(made, env=ENVIRONMENT, cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
 
 def stop(process: subprocess.Popen[str], number: signal.Signals = signal.SIGINT) -> str:

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import pytest
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 
-from test.harness import ENVIRONMENT, INPUTS, NODE, ROOT, Harness, stop
-from test.test_live import frame
-
-MANAGED = [sys.executable, "-m", "elevator_rectify", "lifecycle_node", *NODE[NODE.index("node") + 1 :]]
+from test.harness import INPUTS, Harness, stop
+from test.test_live import frame, live
 
 
 class Manager:
@@ -43,22 +36,9 @@ class Manager:
         return self.harness.until(lambda: not any(self.listens()), 5.0)
 
 
-@contextmanager
-def started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], Harness]]:
-    process = subprocess.Popen([*MANAGED, *arguments], env=ENVIRONMENT, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-    harness = Harness()
-    try:
-        yield process, harness
-    finally:
-        harness.close()
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-
-
 @pytest.mark.parametrize("signal_in", ["active", "inactive"])
 def test_only_the_active_node_subscribes_and_answers(signal_in: str) -> None:
-    with started("-p", "autostart:=false") as (process, harness):
+    with live("-p", "autostart:=false", program="lifecycle_node") as (process, harness):
         manager = Manager(harness)
         assert manager.state() == State.PRIMARY_STATE_UNCONFIGURED and not any(manager.listens())
         assert manager.to(Transition.TRANSITION_CONFIGURE)
@@ -79,7 +59,7 @@ def test_only_the_active_node_subscribes_and_answers(signal_in: str) -> None:
 
 
 def test_it_starts_by_itself_and_shuts_down() -> None:
-    with started() as (process, harness):
+    with live(program="lifecycle_node") as (process, harness):
         manager = Manager(harness)
         assert harness.until(harness.connected) and manager.state() == State.PRIMARY_STATE_ACTIVE
         harness.send(**frame(1))

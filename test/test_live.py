@@ -35,8 +35,8 @@ TRUTH = scene(1, tilt_deg=15.0, sigma_px=0.3)
 
 
 @contextmanager
-def live(*arguments: str, inputs: dict[str, str] | None = None) -> Iterator[tuple[Any, Harness]]:
-    process, harness = start(*arguments), Harness(inputs)
+def live(*arguments: str, inputs: dict[str, str] | None = None, program: str = "node") -> Iterator[tuple[Any, Harness]]:
+    process, harness = start(*arguments, program=program), Harness(inputs)
     try:
         yield process, harness
     finally:

@@ -15,7 +15,7 @@ import pytest
 
 from elevator_rectify.ros.output import TOPICS
 from elevator_rectify.ros.subscribe import subscribe
-from test.harness import DOMAIN, ENVIRONMENT, NODE, ROOT, Harness, start, stop
+from test.harness import DOMAIN, ENVIRONMENT, ROOT, Harness, command, start, stop
 from test.messages import camera_info, detections, image
 from test.scenes import rotation_error_deg, scene
 
@@ -149,8 +149,8 @@ def test_parameters_are_checked_and_take_effect(process: subprocess.Popen[str], 
 
 
 def test_a_wrong_parameter_ends_the_node_with_a_message() -> None:
-    command = [*NODE, "-p", "em.inlier_share:=7.0"]
-    ended = subprocess.run(command, env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    wrong = command("-p", "em.inlier_share:=7.0")
+    ended = subprocess.run(wrong, env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 2 and "inlier_share" in ended.stderr and "Traceback" not in ended.stderr
 
 
@@ -164,7 +164,7 @@ def test_a_wrong_parameter_ends_the_node_with_a_message() -> None:
 )
 def test_a_wrong_command_line_ends_the_node_with_a_message(wrong: list[str], words: str) -> None:
     ended = subprocess.run(
-        [*NODE, *wrong], env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+        command(*wrong), env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
     )
     assert ended.returncode == 2 and words in ended.stderr and "Traceback" not in ended.stderr
 

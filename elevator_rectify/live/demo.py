@@ -147,9 +147,9 @@ def run(session: Session, own: bool = False) -> int:
         answered[name] = record(each, outputs[name], expected)
     rclpy.try_shutdown()
     code = 0
-    found, pictures = write_report(session.source, outputs, session.folder)
-    write_page(session.source, session.folder, found, pictures, {"arguments": " ".join(session.arguments)})
-    for name, outcomes in found.items():
+    report = write_report(session.source, outputs, session.folder)
+    write_page(session.source, session.folder, report, {"arguments": " ".join(session.arguments)})
+    for name, outcomes in report.outcomes.items():
         print(f"\n{name}:")
         if session.press:
             print(pressed(outcomes, session.press))

@@ -14,7 +14,7 @@ import numpy as np
 
 from elevator_rectify import __version__
 from elevator_rectify.core.types import Image
-from elevator_rectify.recordings.report import Outcome, Pictures, table
+from elevator_rectify.recordings.report import Outcome, Pictures, Report
 
 _WIDEST_PX, _JPEG_QUALITY = 560, 80
 _PLOT_WIDTH, _PLOT_HEIGHT, _DOT = 1000, 160, 5
@@ -57,13 +57,12 @@ def page(
 def write_page(
     source: Path,
     folder: Path,
-    outcomes: Mapping[str, Sequence[Outcome]],
-    pictures: Mapping[str, Mapping[int, Pictures]],
+    report: Report,
     settings: Mapping[str, str],
 ) -> None:
     """Write the page of a bag beside its tables, and say where it is."""
-    grids = {method: read_grids(folder / f"panels_{method}.txt") for method in outcomes}
-    text = page(source.resolve().name, table(outcomes), outcomes, pictures, grids, settings)
+    grids = {method: read_grids(folder / f"panels_{method}.txt") for method in report.outcomes}
+    text = page(source.resolve().name, report.table, report.outcomes, report.pictures, grids, settings)
     path = folder / "report.html"
     path.write_text(text, encoding="utf-8")
     print(f"open this: {path}")

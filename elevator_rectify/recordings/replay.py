@@ -151,7 +151,7 @@ def _replay_bag(bag: Path, output: Path, configs: dict[str, Config], options: ar
     # Nothing is written where nothing could be read.
     written = {method: path for method, path in outputs.items() if (path / "metadata.yaml").exists()}
     settings = {f"--set {assignment.partition('=')[0]}": assignment.partition("=")[2] for assignment in options.set}
-    write_page(bag, output, *write_report(bag, written, output), settings)
+    write_page(bag, output, write_report(bag, written, output), settings)
     return code
 
 

@@ -22,6 +22,7 @@ from elevator_rectify.ros.bag import BadBag, Record, Unreadable, bag_topics, rea
 from elevator_rectify.ros.config import DETECTION_TYPES
 from elevator_rectify.ros.convert import camera_from_message, detections_from_message, output_stamp_ns, stamp_ns
 from elevator_rectify.ros.pictures import BadMessage, image_from_message
+from elevator_rectify.ros.poses import rotation_of
 
 _TILE = (320, 240)
 # A contact sheet has no more images.
@@ -84,6 +85,15 @@ class Pictures:
 
     overlay: Image | None = None
     view: Image | None = None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came out of a bag: the table, and by method the outcomes and, of those shown, the pictures by stamp."""
+
+    table: str
+    outcomes: dict[str, list[Outcome]]
+    pictures: dict[str, dict[int, Pictures]]
 
 
 def read_outcomes(source: Path, output: Path) -> list[Outcome]:
@@ -164,10 +174,7 @@ def _take_output(outcome: Outcome, topic: str, message: Any) -> None:
 def pose_of_message(message: Any) -> tuple[Array, Array]:
     """Return R (3, 3) and t (3,) of a geometry_msgs/Pose."""
     q, p = message.orientation, message.position
-    half = np.array([q.x, q.y, q.z])
-    length = float(np.linalg.norm(half))
-    vector = half / length * 2.0 * np.arctan2(length, q.w) if length > 1e-12 else np.zeros(3)
-    return np.asarray(cv2.Rodrigues(vector)[0]), np.array([p.x, p.y, p.z])
+    return rotation_of(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z])
 
 
 def _positions(message: Any) -> Array:
@@ -253,13 +260,8 @@ def _tile(image: Image | None, text: str) -> Image:
     return canvas
 
 
-def write_report(
-    source: Path, outputs: dict[str, Path], folder: Path
-) -> tuple[dict[str, list[Outcome]], dict[str, dict[int, Pictures]]]:
-    """Print the table and write it beside one contact sheet per method; say where they are.
-
-    Returns by method the outcomes and, of those that are shown, the pictures by stamp.
-    """
+def write_report(source: Path, outputs: dict[str, Path], folder: Path) -> Report:
+    """Print the table and write it beside one contact sheet per method; say where they are."""
     outcomes = {method: read_outcomes(source, output) for method, output in outputs.items()}
     text = table(outcomes)
     print(text)
@@ -270,7 +272,7 @@ def write_report(
         pictures[method] = _write_pictures(method, rows, outputs[method], folder)
         print(f"bag:      {outputs[method]}")
     print(f"table:    {folder / 'table.txt'}")
-    return outcomes, pictures
+    return Report(text, outcomes, pictures)
 
 
 def _write_pictures(method: str, rows: list[Outcome], output: Path, folder: Path) -> dict[int, Pictures]:

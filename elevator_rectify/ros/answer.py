@@ -74,6 +74,10 @@ class Answer:
         """Return the panel's places with their labels."""
         return self.fit.buttons_by(self.labels)
 
+    def standoff(self, button: Button) -> Array:
+        """Return the point (3,) of the approach pose before a button, in the camera frame."""
+        return np.asarray(button.point + self.standoff_m * button.normal)
+
 
 @dataclass(frozen=True)
 class Inputs:

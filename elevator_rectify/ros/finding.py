@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
 from rclpy.node import Node
 
 from elevator_rectify.core.reading.agreement import Look, Request, Verdict, timed_out, verdict
@@ -20,7 +20,7 @@ from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.buttons import button_covariance
 from elevator_rectify.ros.frames import Frames, Transform
 from elevator_rectify.ros.messages import make_ros
-from elevator_rectify.ros.poses import pose_of, quaternion, ros_header
+from elevator_rectify.ros.poses import pose_of, quaternion, ros_header, stamped_pose
 
 _INTERFACES = "elevator_rectify_interfaces.action"
 # Goals that have no more time, or were withdrawn, are noticed so soon.
@@ -68,18 +68,18 @@ def action(name: str) -> Any:
 class FindButton:
     """Serves goals, several at a time: the worker adds what each frame says, the executor's thread answers."""
 
-    def __init__(self, node: Node, frames: Frames) -> None:
-        self._type = action("FindButton")
+    def __init__(self, node: Node, kind: Any, frames: Frames, steady: Clock) -> None:
+        self._type = kind
         self._frames, self._goals, self._lock = frames, list[Goal](), threading.Lock()
         self._server = ActionServer(
             node,
-            self._type,
+            kind,
             "~/find_button",
             self._result,
             handle_accepted_callback=self._accepted,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
-        self._timer = node.create_timer(_TICK_SECONDS, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(_TICK_SECONDS, self._tick, clock=steady)
         self._timer.cancel()
 
     @property
@@ -200,11 +200,6 @@ def _placed(answer: Answer, choice: Choice, transform: Transform) -> Seen:
     turn = quaternion(transform.R @ fit.R_camera_panel)
     header = ros_header(answer.header, make_ros)
     header.frame_id = transform.name
-    points = button.point, button.point + answer.standoff_m * button.normal
-    places = [transform.R @ point + transform.t for point in points]
-    poses = []
-    for place in places:
-        at = pose_of(place, turn, make_ros)
-        pose = make_ros("geometry_msgs/msg/PoseWithCovariance", pose=at, covariance=covariance.ravel())
-        poses.append(make_ros("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=pose))
+    places = [transform.R @ point + transform.t for point in (button.point, answer.standoff(button))]
+    poses = [stamped_pose(pose_of(place, turn, make_ros), covariance, header, make_ros) for place in places]
     return Seen(Look(choice, places[0], covariance[:3, :3]), *poses)

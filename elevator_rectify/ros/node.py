@@ -77,9 +77,10 @@ class ElevatorRectify(Node):
         self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
         self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
         self._tf = self._tf_publisher() if self.node_config.publish_tf else None
-        self._finding = FindButton(self, Frames(self)) if action("FindButton") else None
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        kind = action("FindButton")
+        self._finding = FindButton(self, kind, Frames(self), self._steady) if kind else None
         self._subscribe_target()
-        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._begin()
 
     def _begin(self) -> None:
@@ -148,11 +149,11 @@ class ElevatorRectify(Node):
         bad = self.pairing.add_unreadable
         self._streams = [subscribe(self, kind, topic, self._feeding(add), bad) for kind, topic, add in streams]
         kind, add = self.node_config.detections.type, self._feeding(self._add_detections)
-        self._detections = DetectionsSubscriber(self, kind, add, bad, self.steady)
+        self._detections = DetectionsSubscriber(self, kind, add, bad, self._steady)
         topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}
         self._silence = Silence({name: self.resolve_topic_name(topic) for name, topic in topics.items()})
         self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
-        self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=self.steady)
+        self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=self._steady)
 
     def _subscribe_target(self) -> None:
         # A target set before the node started is that of a latched publisher; each publisher matches one of the two,

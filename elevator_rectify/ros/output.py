@@ -16,7 +16,7 @@ from elevator_rectify.ros.answer import Answer
 from elevator_rectify.ros.buttons import buttons_message, pressing_pose_message
 from elevator_rectify.ros.markers import marker_message
 from elevator_rectify.ros.messages import Make
-from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion, ros_header
+from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion, ros_header, stamped_pose
 
 Messages = Iterator[tuple[str, Any]]
 # Topic below the node's name: message type.
@@ -81,7 +81,7 @@ def _target_makers(answer: Answer, header: Any, make: Make) -> dict[str, Callabl
     fit, choice = answer.fit, answer.choice
     if choice is None or choice.button is None:
         return {}
-    point, before = choice.button.point, choice.button.point + answer.standoff_m * choice.button.normal
+    point, before = choice.button.point, answer.standoff(choice.button)
     return {
         "target_pose": lambda: pressing_pose_message(fit, point, header, make),
         "standoff_pose": lambda: pressing_pose_message(fit, before, header, make),
@@ -139,10 +139,8 @@ def grid_message(fit: GridFit, header: Any, make: Make) -> Any:
 
 def pose_message(fit: GridFit, header: Any, make: Make) -> Any:
     """Return the panel's pose with its covariance; of unknown scale, the translation's is too large for any use."""
-    covariance = message_covariance(fit)
     pose = pose_of(fit.t_camera_panel, quaternion(fit.R_camera_panel), make)
-    with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
-    return make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=with_covariance)
+    return stamped_pose(pose, message_covariance(fit), header, make)
 
 
 def docking_message(fit: GridFit, header: Any, make: Make) -> Any:

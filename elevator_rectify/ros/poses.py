@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from elevator_rectify.core.geometry.pose import covariance_at
+from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.types import Array
 from elevator_rectify.ros.messages import Make
@@ -35,9 +36,10 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
 
 
 def rotation_of(x: float, y: float, z: float, w: float) -> Array:
-    """Return the rotation matrix of a unit quaternion."""
-    skew = np.cross(np.eye(3), np.array([x, y, z]))
-    return np.asarray(np.eye(3) + 2.0 * w * skew + 2.0 * skew @ skew)
+    """Return the rotation matrix (3, 3) of a quaternion of any length."""
+    half = np.array([x, y, z])
+    length = float(np.linalg.norm(half))
+    return rotation(half / length * 2.0 * np.arctan2(length, w) if length > 1e-12 else np.zeros(3))
 
 
 def pose_of(t: Array, q: tuple[float, float, float, float], make: Make) -> Any:
@@ -45,6 +47,12 @@ def pose_of(t: Array, q: tuple[float, float, float, float], make: Make) -> Any:
     position = make("geometry_msgs/msg/Point", x=float(t[0]), y=float(t[1]), z=float(t[2]))
     orientation = make("geometry_msgs/msg/Quaternion", x=q[0], y=q[1], z=q[2], w=q[3])
     return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
+
+
+def stamped_pose(pose: Any, covariance: Array, header: Any, make: Make) -> Any:
+    """Return a PoseWithCovarianceStamped of a Pose and its covariance (6, 6)."""
+    both = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
+    return make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=both)
 
 
 def message_covariance(fit: GridFit, panel: Array | None = None) -> Array:
