@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from elevator_rectify.core import Camera
+from elevator_rectify.core import Camera, KnownPanel
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array
-from elevator_rectify.render.panel import PITCH_M, regular_panel
+from elevator_rectify.render.panel import PITCH_M, Panel, regular_panel
 from elevator_rectify.render.scene import PAPER_K, DetectorModel, Scene, Viewpoint, make_scene, paper_camera
 
 DISTORTED = {
@@ -38,3 +38,26 @@ def distorted_camera(model: str) -> Camera:
 
 def rotation_error_deg(R: Array, truth: Array) -> float:
     return float(np.rad2deg(rotation_angle_rad(R.T @ truth)))
+
+
+def known_of(panel: Panel, name: str = "lobby") -> KnownPanel:
+    """The panel as it was drawn; buttons of a last row that is half a pitch off lie beside the lattice."""
+    at = panel.points_m[:, :2]
+    pitch = np.array(panel.pitch_m)
+    cells = np.where((panel.blocks == 0)[:, None], panel.cells, -1)
+    rows, columns = cells.max(axis=0) + 1
+    return KnownPanel(
+        name=name,
+        labels=tuple(b.label for b in panel.buttons),
+        places=at,
+        sizes=np.full((len(at), 2), 0.028),
+        cells=cells,
+        metric=True,
+        pitch=pitch,
+        row_positions=np.arange(rows, dtype=float),
+        column_positions=np.arange(columns, dtype=float),
+        row_staggered=np.zeros(rows, dtype=bool),
+        column_staggered=np.zeros(columns, dtype=bool),
+        row_block=np.zeros(rows, dtype=np.int64),
+        column_block=np.zeros(columns, dtype=np.int64),
+    )

@@ -17,7 +17,7 @@ ROWS = (
     ("core.confidence", "core.track"),
     ("core.result",),
     ("core.picture",),
-    ("core.outline",),
+    ("core.outline", "core.known"),
     ("core.attempts",),
     ("core.left_out",),
     ("core.pipeline",),

@@ -16,11 +16,12 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
+from elevator_rectify.core.known.file import panel_text
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.poses import UNKNOWN_SCALE_VARIANCE
 from test.harness import PREFIX, Harness, start, stop
 from test.messages import camera_info, detections, header, image, vision_detections
-from test.scenes import scene
+from test.scenes import known_of, scene
 
 DETECTIONS = "vision_msgs/msg/Detection2DArray"
 # Of the real package, as given by `ros2 topic info -v` on a robot.
@@ -223,6 +224,28 @@ def test_a_target_is_found_or_the_status_says_why_not() -> None:
         # The pitch is given exactly; 0.3 px of noise.
         assert np.linalg.norm(at - truth) < 0.03 * np.linalg.norm(truth)
         assert np.linalg.norm(at - before) == pytest.approx(0.1) and np.linalg.norm(before) < np.linalg.norm(at)
+        stop(process)
+
+
+def test_a_taught_panel_is_pressed_without_labels_and_a_hidden_button_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "lobby.yaml"
+    path.write_text(panel_text(known_of(TRUTH.panel)))
+    seven = next(k for k, button in enumerate(TRUTH.panel.buttons) if button.label == "7")
+    hidden = TRUTH.centres_px[TRUTH.button != seven]
+    with live("-p", f"panel.file:={path}", inputs={PREFIX + "target": "std_msgs/msg/String"}) as (process, harness):
+        assert harness.until(harness.connected)
+        harness.send(**{PREFIX + "target": make_ros("std_msgs/msg/String", data="7")})
+        harness.until(lambda: False, 0.5)
+        for stamp, centres, status in ((1, TRUTH.centres_px, "found"), (2, hidden, "occluded")):
+            harness.send(**frame(stamp, detections=detections(stamp, centres)))
+            assert harness.answered(stamp)
+            said = {pair.key: pair.value for pair in harness.received["status"][-1].values}
+            assert (said["status"], said["panel"], said["target_status"]) == ("ok", "lobby", status)
+        at = harness.received["target_pose"][0].pose.position
+        truth = TRUTH.R_camera_panel @ TRUTH.panel.points_m[seven] + TRUTH.t_camera_panel
+        # The scale is the file's; 0.3 px of noise.
+        assert np.linalg.norm([at.x, at.y, at.z] - truth) < 0.02 * np.linalg.norm(truth)
+        assert len(harness.received["target_pose"]) == 1
         stop(process)
 
 

@@ -13,6 +13,8 @@ from elevator_rectify.benchmark.detector import detector_table
 from elevator_rectify.benchmark.end_to_end import end_to_end_table
 from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.figures import Figures, comparison, read_figures
+from elevator_rectify.benchmark.known import known_table
+from elevator_rectify.benchmark.known_rendered import known_rendered_table
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
@@ -34,6 +36,7 @@ _LABELLED = {
     "reader": "how much our own reader reads right",
     "turned": "reading turned pictures as they are and rectified",
     "end-to-end": "from the picture alone to the button, beside true boxes",
+    "known": "panels taught from one picture, sought in other views",
 }
 _FIXED_LEVELS = ["easy", "medium", "hard"]
 
@@ -61,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
         "--sequences", type=int, default=0, metavar="N", help="tracking, on N camera paths of each kind"
     )
     parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
+    parser.add_argument("--taught", type=int, default=0, metavar="N", help="N rendered panels a level, taught before")
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
     parser.add_argument(
@@ -87,6 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
+    tables = _taught if options.taught else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
         seed = _FIXED_SEED if options.fixed else options.seed
@@ -152,6 +157,11 @@ def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: fl
     print(adversarial_table(options.adversarial, options.seed, figures))
 
 
+def _taught(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the table of rendered panels that were taught."""
+    print(known_rendered_table(options.levels.split(","), options.taught, options.seed, figures))
+
+
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the tables of our own detector and reader."""
     of_part = {
@@ -159,6 +169,7 @@ def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float
         "reader": reader_table,
         "turned": turned_reading_table,
         "end_to_end": end_to_end_table,
+        "known": known_table,
     }
     for name, table in of_part.items():
         folder = getattr(options, name)

@@ -13,6 +13,7 @@ from elevator_rectify.core.config import (
     NetworkConfig,
     NoiseConfig,
     OutlineConfig,
+    PanelConfig,
     RoundsConfig,
     ScaleConfig,
     SizeConfig,
@@ -26,7 +27,7 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import fit_panel, fit_panels
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.target import find_button
-from elevator_rectify.core.types import Button, Detection
+from elevator_rectify.core.types import Button, Detection, KnownPanel
 from elevator_rectify.core.view.warp import Rectification, rectify_image
 
 __all__ = [
@@ -40,12 +41,14 @@ __all__ = [
     "HypothesesConfig",
     "InputConfig",
     "JointConfig",
+    "KnownPanel",
     "LabelsConfig",
     "MeasurementConfig",
     "MotionConfig",
     "NetworkConfig",
     "NoiseConfig",
     "OutlineConfig",
+    "PanelConfig",
     "Rectification",
     "RoundsConfig",
     "ScaleConfig",

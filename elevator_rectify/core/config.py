@@ -85,7 +85,7 @@ class JointConfig(Checked):
     """Joint refinement of lattice and pose."""
 
     inlier_share: float = value(0.8, "prior share of detections that are buttons of the panel", low=0.05, high=0.999)
-    log_aspect_std: float = value(0.4, "prior spread of ln(row pitch / column pitch)", low=0.01, high=10.0)
+    log_aspect_std: float = value(0.4, "prior spread of ln(row pitch / column pitch)", low=1e-4, high=10.0)
     max_usual_tilt_rad: float = value(
         1.0, "tilt up to which all are equally likely; beyond, the prior falls", low=0.1, high=1.5
     )
@@ -224,6 +224,13 @@ class OutlineConfig(Checked):
 
 
 @dataclass(frozen=True)
+class PanelConfig(Checked):
+    """The panel that hangs there, where it was taught."""
+
+    file: str = value("", "panel file of `teach`: only its pose is sought, and another panel is refused")
+
+
+@dataclass(frozen=True)
 class LabelsConfig(Checked):
     """What the buttons' labels and the panel's order say of each other."""
 
@@ -294,6 +301,7 @@ class Config(Checked):
     scale: ScaleConfig = field(default_factory=ScaleConfig)
     measurement: MeasurementConfig = field(default_factory=MeasurementConfig)
     outline: OutlineConfig = field(default_factory=OutlineConfig)
+    panel: PanelConfig = field(default_factory=PanelConfig)
     labels: LabelsConfig = field(default_factory=LabelsConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)

@@ -11,17 +11,22 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.pipeline import DEFAULT_CONFIG, fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import labelled, read_boxes, read_in_plane, read_undetected
-from elevator_rectify.core.types import Detection, FitResult, Image
+from elevator_rectify.core.types import Detection, FitResult, Image, KnownPanel
 
 
 def find_panel(
-    image: Image, camera: Camera, config: Config = DEFAULT_CONFIG, previous: FitResult | None = None
+    image: Image,
+    camera: Camera,
+    config: Config = DEFAULT_CONFIG,
+    previous: FitResult | None = None,
+    known: KnownPanel | None = None,
 ) -> GridFit:
     """Find and fit the panel in a picture (height, width[, 3]) uint8, with labels by our own reader.
 
     The arguments are those of `fit_panel`, which raises ValueError for the same.
     """
-    return with_labels(fit_panel(detect_buttons(image, config.network), camera, config, previous, image), image, camera)
+    found = detect_buttons(image, config.network)
+    return with_labels(fit_panel(found, camera, config, previous, image, known), image, camera)
 
 
 def with_labels(fit: GridFit, image: Image, camera: Camera) -> GridFit:
@@ -29,6 +34,8 @@ def with_labels(fit: GridFit, image: Image, camera: Camera) -> GridFit:
 
     Buttons that the picture shows and nobody detected are read, too.
     """
+    if fit.known is not None:
+        return fit
     fit = read_undetected(image, camera, fit)
     sizes = _have_sizes(fit.detections) or (fit.ok and fit.measurement is not None)
     if not fit.detections or all(d.label for d in fit.detections) or not sizes:

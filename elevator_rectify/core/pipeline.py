@@ -11,6 +11,8 @@ from elevator_rectify.core.attempts import best_attempt, grew, tracked
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.known.file import known_panel
+from elevator_rectify.core.known.fit import fit_known
 from elevator_rectify.core.lattice.marks import MARK, marks_as_before, second_lines
 from elevator_rectify.core.left_out import undoubted
 from elevator_rectify.core.outline.result import few_fit
@@ -20,7 +22,7 @@ from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import no_buttons
 from elevator_rectify.core.reading.upright import quarter_turns
 from elevator_rectify.core.result import failed_fit, paper_fit
-from elevator_rectify.core.types import Array, Detection, FitResult, Image
+from elevator_rectify.core.types import Array, Detection, FitResult, Image, KnownPanel
 
 DEFAULT_CONFIG = Config()
 # The grid of the frame before is the same one where its origin has moved by less than so many pitches since.
@@ -33,20 +35,28 @@ def fit_panel(
     config: Config = DEFAULT_CONFIG,
     previous: FitResult | None = None,
     image: Image | None = None,
+    known: KnownPanel | None = None,
 ) -> GridFit:
     """Fit the button grid and the panel's pose to one image's detections.
 
     detections: (N, 2) pixels of the (distorted) image, or a list of Detection. previous: an accepted fit of the frame
     before, from which the joint method starts; where it does not explain this frame, the fit is made from scratch.
     image: (height, width[, 3]) uint8, in which the joint method measures the buttons: several times as exact as boxes.
+    known: a taught panel, by default that of `config.panel.file`: then only its pose is sought, and another panel is
+    refused as 'unknown_panel'.
     Never raises for what a detector may send: "no panel" is a result whose status and reason say why. Raises
-    ValueError for an array of a wrong shape, or an image of another size than the camera.
+    ValueError for an array of a wrong shape, an image of another size than the camera, a panel file that is none.
     """
     if image is not None and (image.dtype != np.uint8 or image.shape[:2] != (camera.height, camera.width)):
         size = f"{camera.width} x {camera.height}"
         raise ValueError(f"image must be uint8 of the camera's {size}, not {image.dtype} of shape {image.shape}")
+    given, known = _as_given(detections), known or known_panel(config.panel)
+    if known is not None:
+        usable = usable_detections(detections, camera, config.input)
+        sigma = sigma_px(usable, camera, config) / camera.focal_px
+        fit = fit_known(usable, given, camera, sigma, config, known, previous, image)
+        return GridFit.of(fit, detections=given)
     fit = _fit(detections, camera, config, previous, image)
-    given = _as_given(detections)
     if image is not None and config.measurement.witness:
         fit = _upright(fit, camera, previous, image, given)
         fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))

@@ -119,4 +119,8 @@ def shaped(fit: FitT, shape: Array) -> FitT:
 def posed(fit: FitT, R: Array, t: Array, camera: Camera) -> FitT:
     """Return the fit with another pose of its panel."""
     points = fit.grid_panel @ R[:, :2].T + t
-    return replace(fit, R_camera_panel=R, t_camera_panel=t, grid_points=points, grid_px=camera.project(points))
+    moved = replace(fit, R_camera_panel=R, t_camera_panel=t, grid_points=points, grid_px=camera.project(points))
+    if fit.known is None:
+        return moved
+    buttons = fit.known.places * (fit.pitch / fit.known.pitch)
+    return replace(moved, known_px=camera.project(buttons @ R[:, :2].T + t))

@@ -44,7 +44,7 @@ class Button:
     its place in the panel frame, the cell's, or the detection's where it lies beside the grid (row, column and block
     are -1 then); point: (3,) in the camera frame, with covariance (3, 3); normal: (3,) unit vector out of the panel,
     towards the camera; size: its width and height. Lengths are in the fit's unit. label: what it means (`canonical`),
-    label_source: 'read', 'corrected' (another one was read), 'inferred' (none was) or '' (no label);
+    label_source: 'read', 'corrected' (another one was read), 'inferred' (none was), 'taught' or '' (no label);
     label_probability: that it is right; read: as the detector wrote it, score: the detector's, detection: index into
     the input, -1 for none.
     """
@@ -88,6 +88,34 @@ class Measurement:
 
 
 @dataclass(frozen=True)
+class KnownPanel:
+    """A panel that was taught: K buttons in its panel frame, and the lattice that most of them belong to.
+
+    labels: (K,) canonical, '' where there is none; places, sizes: (K, 2), in metres where `metric`, else in column
+    pitches; cells: (K, 2) row and column, -1 beside the lattice. pitch, row_positions, column_positions and the rest of
+    the lattice: as in FitResult. place_std: of a button's place, in the same unit; log_aspect_std: of ln(height /
+    width) of the whole; scale_std_share: of the scale, over itself.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    places: Array
+    sizes: Array
+    cells: IntArray
+    metric: bool
+    pitch: Array
+    row_positions: Array
+    column_positions: Array
+    row_staggered: BoolArray
+    column_staggered: BoolArray
+    row_block: IntArray
+    column_block: IntArray
+    place_std: float = 0.0
+    log_aspect_std: float = 0.0
+    scale_std_share: float = 0.0
+
+
+@dataclass(frozen=True)
 class FitResult:
     """The fitted grid and the panel's pose, or the reason why there is none.
 
@@ -101,7 +129,9 @@ class FitResult:
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
     a list; `cells` has the same order, and so have rays (N, 2), the detections in undistorted normalised coordinates,
     NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them. undetected:
-    by cell, the buttons that it shows and nobody detected, as they were read; None for what is no button.
+    by cell, the buttons that it shows and nobody detected, as they were read; None for what is no button. known: the
+    taught panel that this is; matched: (N,) which of its buttons each detection is, -1 for none; shown: (K,) which of
+    its buttons a detection or the picture shows; known_px: (K, 2) where they are in the (distorted) image.
 
     covariance: (6, 6) of t and rotation (about the camera's axes), the error of the scale in it. shape_covariance:
     (6 + S, 6 + S) of t, rotation and what shapes the panel, without that error: ln(row pitch / column pitch), then the
@@ -142,6 +172,10 @@ class FitResult:
     rays: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measurement: Measurement | None = None
     undetected: dict[tuple[int, int], Detection | None] = field(default_factory=dict)
+    known: KnownPanel | None = None
+    matched: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    shown: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    known_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def ok(self) -> bool:

@@ -139,6 +139,13 @@ def write_pictures(path: Path, image: Image, camera: Camera, fit: GridFit, folde
     print("pictures: " + ", ".join(str(p) for p in written))
 
 
+def add_calibration(parser: argparse.ArgumentParser) -> None:
+    """Add what `camera_of` takes."""
+    parser.add_argument("--focal-px", type=positive, help="focal length in pixels")
+    parser.add_argument("--focal-35mm", type=positive, help="focal length in mm as of 35 mm film")
+    parser.add_argument("--camera-info", type=Path, help="calibration YAML, as camera_calibration writes it")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line: 0 where every picture shows a panel (and the button), 1 where one does not, 2 for wrong input."""
     parser = argparse.ArgumentParser(
@@ -146,9 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("pictures", type=Path, nargs="+", help="photographs of panels")
     parser.add_argument("--press", default="", metavar="LABEL", help="say where this button is")
-    parser.add_argument("--focal-px", type=positive, help="focal length in pixels")
-    parser.add_argument("--focal-35mm", type=positive, help="focal length in mm as of 35 mm film")
-    parser.add_argument("--camera-info", type=Path, help="calibration YAML, as camera_calibration writes it")
+    add_calibration(parser)
     parser.add_argument("--pitch-m", type=positive, help="distance of two columns in metres, for the scale")
     parser.add_argument("--output", type=Path, default=Path("out/look"), help="folder for the pictures")
     options = parser.parse_args(arguments)

@@ -233,11 +233,13 @@ def _fit(given: Inputs, config: Config, previous: FitResult | None, measure: boo
     image = given.image if measure else None
     if given.depth is None or isinstance(given.depth, str):
         fit = fit_panel(given.detections, given.camera, config, previous, image)
-        return fit, ("column pitch" if fit.metric else "unknown") + (f": {given.depth}" if given.depth else "")
+        known = fit.known is not None and fit.known.metric
+        scale = "taught panel" if known else "column pitch" if fit.metric else "unknown"
+        return fit, scale + (f": {given.depth}" if given.depth else "")
     in_pitches = replace(config, scale=replace(config.scale, column_pitch_m=0.0))
     fit = fit_panel(given.detections, given.camera, in_pitches, previous, image)
     if fit.metric or not fit.ok:
-        return fit, "button size" if fit.metric else "unknown"
+        return fit, "unknown" if not fit.metric else "button size" if fit.known is None else "taught panel"
     # The pitch of a single column is not that of the columns.
     pitch_m = config.scale.column_pitch_m if fit.columns > 1 else 0.0
     return with_scale(fit, given.camera, given.depth, replace(config.scale, column_pitch_m=pitch_m))

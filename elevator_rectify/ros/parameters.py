@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from elevator_rectify.core.config import Config, flatten, with_values
+from elevator_rectify.core.known.file import known_panel, read_panel_file
 from elevator_rectify.ros.config import NodeConfig
 
 _INT_LIMIT = 2**31 - 1
@@ -22,10 +23,12 @@ _STANDARD = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 def declare(node: Node) -> tuple[NodeConfig, Config]:
     """Declare every value of NodeConfig (read-only) and Config, and return what the user set.
 
-    Raises ValueError for a value out of its range.
+    Raises ValueError for a value out of its range, and a panel file that cannot be read.
     """
     node_config = _declared(node, NodeConfig(), read_only=True)
     config = _declared(node, Config(), read_only=False)
+    # What cannot be read ends the node here, not every frame.
+    known_panel(config.panel)
     _refuse_unknown(node)
     return node_config, config
 
@@ -70,6 +73,11 @@ def changed(config: Config, parameters: list[Parameter]) -> tuple[Config, SetPar
     known = flatten(config)
     values = {p.name: p.value for p in parameters if p.name in known}
     try:
-        return with_values(config, values), SetParametersResult(successful=True)
+        new = with_values(config, values)
+        if "panel.file" in values:
+            # The same file may have been taught anew.
+            read_panel_file.cache_clear()
+            known_panel(new.panel)
+        return new, SetParametersResult(successful=True)
     except ValueError as error:
         return config, SetParametersResult(successful=False, reason=str(error))

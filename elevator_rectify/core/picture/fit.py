@@ -11,6 +11,7 @@ from elevator_rectify.core.confidence import logistic_confidence, rotation_std_r
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.pose import LatticePose
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.lattice import sizes
 from elevator_rectify.core.lattice.joint import JointFit
@@ -141,17 +142,22 @@ def _result(
 ) -> FitResult:
     """Return pose, covariance, grid and measurement."""
     fit, joint = measured.fit, config.joint
-    origin = fit.layout.nodes[0, 0]
-    pose, covariance = pose_at(fit, measured.rays, origin, joint, measured.information)
+    pose, covariance = measured_pose(measured, fit.layout.nodes[0, 0], config)
+    area = camera.width * camera.height / camera.focal_px**2
+    explained = with_overlapping(evaluate(fit.pose, fit.layout, usable.rays, sigma, area, joint), usable, measured)
+    result = layout_result(explained, pose, covariance, boxes, usable, camera, config)
+    return replace(result, measurement=measurement_of(measured, float(result.pitch[0]), camera))
+
+
+def measured_pose(measured: MeasuredFit, origin: Array, config: Config) -> tuple[LatticePose, Array]:
+    """Return the pose at a lattice point (2,) before every break, and its covariance as `pose_at` orders it."""
+    pose, covariance = pose_at(measured.fit, measured.rays, origin, config.joint, measured.information)
     covariance = covariance * config.measurement.covariance_scale
     # What is taken for the middle of one button is so of all, and so is the height of their caps above the plate.
     size = 2.0 * measured.half * np.array([1.0, pose.aspect])
     common = pose.R * np.array([*(_COMMON_SHIFT * size), _CAP_HEIGHT * float(np.sqrt(size.prod()))])
     covariance[:3, :3] += common @ common.T
-    area = camera.width * camera.height / camera.focal_px**2
-    explained = _with_overlapping(evaluate(fit.pose, fit.layout, usable.rays, sigma, area, joint), usable, measured)
-    result = layout_result(explained, pose, covariance, boxes, usable, camera, config)
-    return replace(result, measurement=_measurement(measured, float(result.pitch[0]), camera))
+    return pose, covariance
 
 
 def _judged_by_edges(fit: FitResult, photo: Photo, last: Measurement | None) -> FitResult:
@@ -192,7 +198,7 @@ def _with_rotation(whole: Array, rotation: Array) -> Array:
     return np.asarray(whole - share @ (whole[3:6, 3:6] - rotation) @ share.T)
 
 
-def _with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> LayoutFit:
+def with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> LayoutFit:
     """Return the fit with every detection an inlier that lies on a button which the picture shows, however inexact."""
     lattice = fit.layout.nodes.reshape(-1, 2)[fit.node]
     predicted, _, d_uv = jacobians(fit.pose, lattice[None])
@@ -202,7 +208,7 @@ def _with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> 
     return replace(fit, inlier=np.where(on, 1.0, fit.inlier))
 
 
-def _measurement(measured: MeasuredFit, unit: float, camera: Camera) -> Measurement:
+def measurement_of(measured: MeasuredFit, unit: float, camera: Camera) -> Measurement:
     """Return what is seen, by cell."""
     fit, places = measured.fit, measured.places
     rows, columns = fit.layout.nodes.shape[:2]

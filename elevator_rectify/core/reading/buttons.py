@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.core.config import LabelsConfig
 from elevator_rectify.core.geometry.pose import covariance_at
 from elevator_rectify.core.reading.panel import Reading, as_read
-from elevator_rectify.core.reading.places import PanelPlaces
+from elevator_rectify.core.reading.places import PanelPlaces, known_index
 from elevator_rectify.core.types import Array, Button, FitResult
 
 # A button's width over the pitch, where its box has no size.
@@ -61,6 +61,8 @@ def _button(
 def _meant(reading: Reading, config: LabelsConfig) -> list[tuple[str, str, float]]:
     """Return of every place what its label is, where that is from, and how probable it is."""
     labels, right, floors = reading.places.label, as_read(reading), reading.floors
+    if reading.taught is not None:
+        return [(label, "taught" if label else "", float(p)) for label, p in zip(labels, right, strict=True)]
     if floors is None:
         return [(read, "read" if read else "", float(p)) for read, p in zip(labels, right, strict=True)]
     likeliest = [str(floors.numbers[best]) for best in floors.floor.argmax(axis=1)]
@@ -103,6 +105,8 @@ def _where(fit: FitResult, places: PanelPlaces) -> _Where:
     # detection's own error counts.
     own = fit.rms_px * per_px
     own[: places.cells] = 0.0 if fit.measurement is None else fit.measurement.scatter * float(fit.pitch[0])
+    if fit.known is not None:
+        own[:] = fit.known.place_std * float(fit.pitch[0] / fit.known.pitch[0])
     across = fit.R_camera_panel[:, :2] * own[:, None]
     covariance += across @ np.swapaxes(across, 1, 2)
     return _Where(_image_px(fit, places), point, covariance, _size(fit, places, per_px))
@@ -111,6 +115,10 @@ def _where(fit: FitResult, places: PanelPlaces) -> _Where:
 def _image_px(fit: FitResult, places: PanelPlaces) -> Array:
     """Return the buttons' centres (K, 2) as the picture shows them, or else their cells', or their detections'."""
     cells = fit.grid_px.reshape(-1, 2)
+    if fit.known is not None:
+        px = np.concatenate([cells, np.zeros((len(places.panel) - len(cells), 2))])
+        px[known_index(fit, fit.known)] = fit.known_px
+        return px
     if fit.measurement is not None:
         seen = fit.measurement.centre_px.reshape(-1, 2)
         cells = np.where(np.isfinite(seen), seen, cells)
@@ -121,6 +129,10 @@ def _image_px(fit: FitResult, places: PanelPlaces) -> Array:
 def _size(fit: FitResult, places: PanelPlaces, per_px: Array) -> Array:
     """Return the buttons' widths and heights (K, 2): as measured, or else of their boxes, or the usual ones."""
     index = places.detection
+    if fit.known is not None:
+        usual = np.full((len(index), 2), _USUAL_SHARE * float(fit.pitch.min()))
+        usual[known_index(fit, fit.known)] = fit.known.sizes * (fit.pitch / fit.known.pitch)
+        return usual
     if fit.measurement is not None:
         return np.tile(2.0 * fit.measurement.half_size, (len(index), 1))
     if not fit.detections:

@@ -28,6 +28,8 @@ _READABLE = 0.7
 # On so many of 624 real panels is exactly one button of the name. The reader was trained to expect each label on so
 # many of the buttons that it reads.
 _ON_PANELS = {"open": 0.6, "close": 0.56, "alarm": 0.47, "G": 0.27, "call": 0.14, "B1": 0.1, "B": 0.08, "CH": 0.08}
+# The one who taught a panel erred less often than in so many labels.
+_MOST_TAUGHT = 0.999
 # So many other labels of a button are told, of those that are so likely.
 _MOST_TOLD, _TOLD = 3, 1e-3
 _ON_PANELS_USUAL, _READ_SHARE, _MOST_NAMED = 0.05, 0.014, 0.995
@@ -37,18 +39,22 @@ _ON_PANELS_USUAL, _READ_SHARE, _MOST_NAMED = 0.05, 0.014, 0.995
 class Reading:
     """Of K places: present (K,) the probability of a button; floors, None where no number is read; floor_nats (K,) the
     log odds that their order gives for a floor at a place without a detection, beyond what was known; keypad: whether
-    the buttons are digits to be entered, no floors."""
+    the buttons are digits to be entered, no floors; taught: (K,) the probability that each label is right where the
+    panel was taught, None where it is read."""
 
     places: PanelPlaces
     present: Array
     floors: Floors | None
     floor_nats: Array
     keypad: bool = False
+    taught: Array | None = None
 
 
 def read_panel(fit: FitResult) -> Reading:
     """Return the reading of a fit that has a grid."""
     places = places_of(fit)
+    if fit.known is not None:
+        return _taught(fit, places)
     keypad = is_keypad(places)
     if keypad:
         places = replace(places, label=signs(places), readings=())
@@ -61,6 +67,15 @@ def read_panel(fit: FitResult) -> Reading:
     if floors is not None:
         floors = _scaled(_considered(floors, places), present, filled)
     return Reading(places, present, floors, nats, keypad)
+
+
+def _taught(fit: FitResult, places: PanelPlaces) -> Reading:
+    """Return the reading of a taught panel: its labels are as sure as that it is this panel, in this place."""
+    named = np.array([label != "" for label in places.label])
+    button = named | places.filled
+    right = np.where(named, np.minimum(fit.confidence, _MOST_TAUGHT), 0.0)
+    keypad = is_keypad(places)
+    return Reading(places, np.where(button, 1.0, 0.0), None, np.zeros(len(right)), keypad, right)
 
 
 def _considered(floors: Floors, places: PanelPlaces) -> Floors:
@@ -117,6 +132,8 @@ def _log_odds(probability: Array) -> Array:
 
 def as_read(reading: Reading) -> Array:
     """Return (K,) the probability that each place's label is right as it was read, 0 where none was."""
+    if reading.taught is not None:
+        return reading.taught
     labels = np.array(reading.places.label)
     value = np.zeros(len(labels))
     for label in set(reading.places.label) - {""}:
@@ -167,6 +184,8 @@ def _alone(reading: Reading, k: int, name: str) -> float:
 
 def probability_of(reading: Reading, name: str) -> Array:
     """Return (K,) the probability that each place's button is labelled `name`."""
+    if reading.taught is not None:
+        return np.where(np.array(reading.places.label) == name, reading.taught, 0.0)
     floor = _of_floor(reading, name)
     return np.asarray(_named(reading, name) * reading.present) if floor is None else floor
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.reading.labels import canonical
-from elevator_rectify.core.types import Array, BoolArray, Detection, FitResult, IntArray
+from elevator_rectify.core.types import Array, BoolArray, Detection, FitResult, IntArray, KnownPanel
 
 # A detection so far from the outer lines, in pitches, is of something else than the panel.
 _REACH = 2.0
@@ -57,8 +57,50 @@ class PanelPlaces:
         return np.asarray((self.detection >= 0) | self.shown)
 
 
+def known_index(fit: FitResult, known: KnownPanel) -> IntArray:
+    """Return (K,) the places of a taught panel's buttons, in the order of `known_places`."""
+    beside = known.cells[:, 0] < 0
+    behind = fit.rows * fit.columns + np.cumsum(beside) - 1
+    return np.asarray(np.where(beside, behind, known.cells @ np.array([fit.columns, 1])))
+
+
+def known_places(fit: FitResult, known: KnownPanel) -> PanelPlaces:
+    """Return the places of a fit to a taught panel: its cells, then its buttons beside them."""
+    cells, place_of = fit.grid_panel.reshape(-1, 2), known_index(fit, known)
+    panel = np.concatenate([cells, np.zeros((int((known.cells[:, 0] < 0).sum()), 2))])
+    # The panel's places in the fit's unit.
+    panel[place_of] = known.places * (fit.pitch / known.pitch)
+    detection = np.full(len(panel), -1, dtype=np.int64)
+    for k in reversed(_ranked(fit)):
+        if fit.matched[k] >= 0:
+            detection[place_of[fit.matched[k]]] = k
+    shown, label = np.zeros(len(panel), dtype=bool), [""] * len(panel)
+    shown[place_of] = fit.shown
+    for k, place in enumerate(place_of):
+        label[place] = known.labels[k]
+    given = [fit.detections[k] if k >= 0 and fit.detections else None for k in detection.tolist()]
+    line, at = _lines(fit, panel[len(cells) :])
+    none = np.zeros(len(panel), dtype=bool)
+    return PanelPlaces(
+        cells=len(cells),
+        line=line,
+        at=at,
+        panel=panel,
+        detection=detection,
+        label=tuple(label),
+        read=tuple(d.label if d is not None else "" for d in given),
+        score=np.array([_score(d) for d in given]),
+        shown=shown,
+        taken=none,
+        beyond=none,
+        readings=tuple(_readings(d) for d in given),
+    )
+
+
 def places_of(fit: FitResult) -> PanelPlaces:
     """Return the places of a fit that has a grid."""
+    if fit.known is not None:
+        return known_places(fit, fit.known)
     ranked, cells = _ranked(fit), fit.grid_panel.reshape(-1, 2)
     detection = _in_cells(fit, ranked)
     beside, panel = _beside(fit, detection >= 0, ranked)

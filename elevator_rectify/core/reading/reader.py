@@ -252,6 +252,10 @@ def _units(fit: FitResult, camera: Camera, detections: Sequence[Detection]) -> A
             sizes.append(np.full(2, np.nan) if fit.measurement is None else 2.0 * fit.measurement.half_size)
             continue
         A = np.abs(jacobians_px(fit, _on_panel(fit, ray)[None], camera)[0])
+        # Beyond the horizon of the panel's plane.
+        if not np.isfinite(A).all():
+            sizes.append(np.full(2, np.nan))
+            continue
         # The box of an ellipse: squares add (`patches.half_size_pitch`).
         squares = np.linalg.lstsq(A**2, np.array([d.width_px, d.height_px]) ** 2, rcond=None)[0]
         usual = np.array([d.width_px, d.height_px]) / np.maximum(np.diag(A), 1e-9)

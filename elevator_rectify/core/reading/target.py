@@ -82,6 +82,8 @@ def _other_readings(fit: GridFit, button: Button) -> set[str]:
 
 def _decided(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
     """Refuse a button whose label is not sure."""
+    if fit.known is not None:
+        return _of_taught(fit, button, name, probability, config)
     as_read = canonical(button.read) == name
     # What nobody detected, but the picture shows and the reader reads, is as good as detected. Of a box beside the grid
     # the floors' order says nothing: it may be no button.
@@ -101,6 +103,27 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
         reason = f"{name} is {over} upside down, and too few floors are surely read to tell"
         return Choice(None, "unsure_label", reason)
     return replace(_placed(fit, button, config), probability=probability)
+
+
+def _of_taught(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
+    """Refuse a button of a taught panel that is not seen, or is surely read as another."""
+    if not fit.reading.places.filled[_index_of(fit, button)]:
+        return Choice(None, "occluded", f"{name} is not seen where '{_name(fit)}' has it")
+    read = canonical(button.read)
+    if read not in ("", name) and button.score >= _SURELY_READ:
+        return Choice(None, "unsure_label", f"{name} of '{_name(fit)}' is read as {read} with {button.score:.2f}")
+    if probability < config.min_probability:
+        reason = f"it is '{_name(fit)}', in this place, with probability {probability:.3f} < {config.min_probability:g}"
+        return Choice(None, "unsure_label", reason)
+    return replace(_placed(fit, button, config), probability=probability)
+
+
+def _name(fit: GridFit) -> str:
+    return "" if fit.known is None else fit.known.name
+
+
+def _index_of(fit: GridFit, button: Button) -> int:
+    return next(k for k, b in enumerate(fit.buttons) if b is button)
 
 
 def upside_down(label: str) -> str:

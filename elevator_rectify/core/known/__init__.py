@@ -1,0 +1,1 @@
+"""Panels that were taught: their buttons' places and labels are known, only the pose is sought."""
