@@ -7,7 +7,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "elevator_rectify"
-PROGRAMS = """node lifecycle_node detector look teach replay render make_bag play
+PROGRAMS = """node lifecycle_node detector look teach calibrate_camera replay render make_bag play
 demo benchmark calibrate latency relay soak chaos""".split()  # noqa: SIM905
 # colcon installs into lib/elevator_rectify, where `ros2 run` looks. pip installs into bin, where a program called
 # `node` would hide Node.js: there the one command `elevator-rectify PROGRAM` serves.

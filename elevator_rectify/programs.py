@@ -15,6 +15,7 @@ PROGRAMS = {
     "detector": ("elevator_rectify.ros.detector", "our own detector alone, as a node"),
     "look": ("elevator_rectify.recordings.look", "find and read the panel in photographs"),
     "teach": ("elevator_rectify.recordings.teach", "teach a panel from photographs or a bag"),
+    "calibrate_camera": ("elevator_rectify.recordings.calibrate_camera", "calibrate a camera by a panel"),
     "replay": ("elevator_rectify.recordings.replay", "run a bag through the pipeline, offline"),
     "render": ("elevator_rectify.render.bag", "make a bag of rendered panels with their truth"),
     "make_bag": ("elevator_rectify.recordings.make_bag", "make a bag from pictures and a JSON of boxes"),

@@ -8,6 +8,8 @@ import pytest
 from elevator_rectify.benchmark import program
 from elevator_rectify.benchmark.buttons import run_read
 from elevator_rectify.benchmark.figures import Figures
+from elevator_rectify.benchmark.known import OTHERS, run_panel
+from elevator_rectify.benchmark.known_rendered import run_scene
 from elevator_rectify.benchmark.missing import entries, run_removed
 from elevator_rectify.benchmark.negatives import KINDS, run_negative
 from elevator_rectify.benchmark.oracle import cramer_rao_rad, oracle_rotation, true_lattice
@@ -107,6 +109,17 @@ def test_the_program_prints_what_the_picture_adds(capsys: pytest.CaptureFixture[
     assert (tmp_path / "missed_buttons.jpg").exists()
     said = capsys.readouterr().out
     assert "skipped" in said and "with picture" in said and "easy" in said
+
+
+def test_taught_panels_are_fitted_beside_the_free_fit() -> None:
+    (free, known) = run_scene(("easy", 5001, 0))
+    assert free.accepted and known.accepted and not known.wrong and len(known.lateral_mm) == len(free.lateral_mm)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")
+def test_a_real_panel_is_taught_and_another_one_is_not_taken_for_it() -> None:
+    looks = run_panel((str(DATA / "labelled"), "75", ("11",), 3001))
+    assert {look.kind for look in looks} >= {OTHERS, "whole, 0 to 25 degrees"} and not any(look.wrong for look in looks)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="the real panels' folder is not beside the checkout")

@@ -14,7 +14,7 @@ ROWS = (
     ("core.types", "core.config"),
     ("core.geometry",),
     ("core.detections", "core.paper", "core.lattice", "core.reading", "core.view", "core.detector"),
-    ("core.confidence", "core.track"),
+    ("core.confidence", "core.track", "core.self_calibration"),
     ("core.result",),
     ("core.picture",),
     ("core.outline", "core.known"),

@@ -13,6 +13,8 @@ from elevator_rectify.progress import progress
 
 T = TypeVar("T")
 R = TypeVar("R")
+# Tasks that a process takes at a time: fewer are not worth its start.
+_CHUNK = 8
 
 
 def _single_thread() -> None:
@@ -21,7 +23,9 @@ def _single_thread() -> None:
 
 def parallel(function: Callable[[T], R], tasks: Sequence[T], title: str, workers: int | None = None) -> list[R]:
     """Return function(task) for every task; with a progress bar."""
+    if len(tasks) <= _CHUNK:
+        return list(progress(map(function, tasks), title, len(tasks)))
     # BLAS reads it when it is loaded: the workers are fresh interpreters.
     os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
     with multiprocessing.get_context("spawn").Pool(workers or os.cpu_count(), _single_thread) as pool:
-        return list(progress(pool.imap(function, tasks, chunksize=8), title, len(tasks)))
+        return list(progress(pool.imap(function, tasks, chunksize=_CHUNK), title, len(tasks)))

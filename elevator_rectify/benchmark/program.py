@@ -18,6 +18,7 @@ from elevator_rectify.benchmark.known_rendered import known_rendered_table
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
+from elevator_rectify.benchmark.self_calibration import self_calibration_table
 from elevator_rectify.benchmark.sequences import sequence_table
 from elevator_rectify.benchmark.shown import shown_table, write_example
 from elevator_rectify.benchmark.synthetic import yardstick_ms
@@ -65,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
     parser.add_argument("--taught", type=int, default=0, metavar="N", help="N rendered panels a level, taught before")
+    parser.add_argument("--calibration", type=int, default=0, metavar="N", help="the camera, by each of N panels")
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
     parser.add_argument(
@@ -91,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
-    tables = _taught if options.taught else tables
+    tables = _taught if options.taught or options.calibration else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
         seed = _FIXED_SEED if options.fixed else options.seed
@@ -158,8 +160,11 @@ def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: fl
 
 
 def _taught(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
-    """Print the table of rendered panels that were taught."""
-    print(known_rendered_table(options.levels.split(","), options.taught, options.seed, figures))
+    """Print the tables of rendered panels that are seen several times."""
+    if options.taught:
+        print(known_rendered_table(options.levels.split(","), options.taught, options.seed, figures))
+    if options.calibration:
+        print(self_calibration_table(options.calibration, options.seed, figures))
 
 
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:

@@ -73,8 +73,8 @@ def _number(path: Path, topics: InputTopics) -> int:
     return sum(n for name, (_, n) in bag_topics(path).items() if name == topics.detections)
 
 
-def learnt(views: list[Taken], name: str, config: Config) -> KnownPanel | None:
-    """Return the panel by the surest view, its places and labels averaged over all that show it; None without any."""
+def learnt(views: list[Taken], name: str, config: Config) -> tuple[KnownPanel, list[View]] | None:
+    """Return the panel as the surest view shows it, and the fits to it of all that show it; None without any."""
     fits: list[tuple[Taken, GridFit]] = []
     for view in progress(views, "fit", len(views)):
         fit = fit_panel(view.detections, view.camera, config, image=view.image)
@@ -84,8 +84,7 @@ def learnt(views: list[Taken], name: str, config: Config) -> KnownPanel | None:
     accepted = [(view, fit) for view, fit in fits if fit.ok]
     if not accepted:
         return None
-    first = max(range(len(accepted)), key=lambda k: (accepted[k][1].inliers, accepted[k][1].confidence))
-    view, fit = accepted.pop(first)
+    view, fit = max(accepted, key=lambda item: (item[1].inliers, item[1].confidence))
     known, others = taught(View(fit, view.camera), name), []
     for other, free in accepted:
         again = fit_panel(list(free.detections), other.camera, config, image=other.image, known=known)
@@ -93,13 +92,12 @@ def learnt(views: list[Taken], name: str, config: Config) -> KnownPanel | None:
             others.append(View(again, other.camera))
         else:
             print(f"{other.name}: left out: {again.reason}")
-    print(f"taught by {view.name}" + (f" and {len(others)} other view(s)" if others else ""))
-    print(f"\n{text_grid(fit.buttons)}\n\n{LEGEND}")
-    return joined(known, others) if others else known
+    print(f"the panel as {view.name} shows it, in {len(others)} view(s):\n\n{text_grid(fit.buttons)}\n\n{LEGEND}")
+    return known, others
 
 
-def _views(options: argparse.Namespace) -> list[Taken]:
-    """Return the views. Raises ValueError and BadBag for what cannot be read."""
+def read_views(options: argparse.Namespace) -> list[Taken]:
+    """Return the views that the command line names. Raises ValueError and BadBag for what cannot be read."""
     if len(options.source) == 1 and options.source[0].is_dir():
         path = options.source[0]
         chosen = {stream: getattr(options, stream) for stream in ("image", "detections")}
@@ -110,19 +108,24 @@ def _views(options: argparse.Namespace) -> list[Taken]:
     return list(pictures(options.source, options))
 
 
+def add_source(parser: argparse.ArgumentParser) -> None:
+    """Add what `read_views` takes."""
+    parser.add_argument("source", type=Path, nargs="+", help="photographs of one panel, or the folder of a bag")
+    parser.add_argument("--frames", type=count, default=20, help="frames of a bag that are used")
+    add_calibration(parser)
+    for stream in ("image", "detections"):
+        parser.add_argument(f"--{stream}", help=f"topic of the {stream} in a bag; else found by its type")
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="teach", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("source", type=Path, nargs="+", help="photographs of one panel, or the folder of a bag")
+    add_source(parser)
     parser.add_argument("-o", "--output", type=Path, default=Path("panel.yaml"), help="the panel file")
     parser.add_argument("--name", default="", help="the panel's name; default: the file's")
-    parser.add_argument("--frames", type=count, default=20, help="frames of a bag that are used")
     parser.add_argument("--pitch-m", type=positive, help="distance of two columns in metres, for the scale")
     parser.add_argument("--pitch-std-m", type=positive, default=0.0005, help="its standard deviation")
-    add_calibration(parser)
-    for stream in ("image", "detections"):
-        parser.add_argument(f"--{stream}", help=f"topic of the {stream} in a bag; else found by its type")
     return parser
 
 
@@ -133,14 +136,17 @@ def main(arguments: list[str] | None = None) -> int:
     if options.pitch_m is not None:
         scale = ScaleConfig(column_pitch_m=options.pitch_m, column_pitch_std_m=options.pitch_std_m)
     try:
-        views = _views(options)
-        known = learnt(views, options.name or options.output.stem, replace(Config(), scale=scale))
+        views = read_views(options)
+        found = learnt(views, options.name or options.output.stem, replace(Config(), scale=scale))
     except (ValueError, BadBag) as error:
         print(f"teach: {error}", file=sys.stderr)
         return 2
-    if known is None:
+    if found is None:
         print("teach: no view was accepted, nothing is written", file=sys.stderr)
         return 1
+    known, seen = found
+    if len(seen) > 1:
+        known = joined(known, seen)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(panel_text(known), encoding="utf-8")
     nameless = known.labels.count("")

@@ -14,7 +14,8 @@ from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion
 def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: Make) -> Any:
     """Return one Detection3D per button: pose at its cell or beside the grid, facing into the panel, label and score.
 
-    id is "row,column", "row,column,inferred" for one without a detection, "beside,N" for detection N beside the grid.
+    id is "row,column", "row,column,inferred" for one without a detection, "beside,N" for detection N beside the grid,
+    "beside,LABEL" for a taught button there that was not detected.
     results[0].hypothesis has the button's label as class_id; its score is the detector's where the label is as read,
     else the label's probability.
     """
@@ -43,7 +44,7 @@ def button_covariance(fit: GridFit, button: Button) -> Array:
 
 def _id(button: Button) -> str:
     if button.row < 0:
-        return f"beside,{button.detection}"
+        return f"beside,{button.detection if button.detection >= 0 else button.label}"
     return f"{button.row},{button.column}" + (",inferred" if button.state == "inferred" else "")
 
 

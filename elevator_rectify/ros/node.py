@@ -22,7 +22,8 @@ from elevator_rectify.core.reading.labels import aliases
 from elevator_rectify.core.reading.target import Choice
 from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame, chosen
-from elevator_rectify.ros.convert import class_labels, stamp_ns
+from elevator_rectify.ros.camera_check import CameraCheck
+from elevator_rectify.ros.convert import camera_from_message, class_labels, stamp_ns
 from elevator_rectify.ros.finding import FindButton, action
 from elevator_rectify.ros.frames import Frames, panel_frame
 from elevator_rectify.ros.hints import Hints, Silence
@@ -74,6 +75,7 @@ class ElevatorRectify(Node):
         self._hints = Hints(self.node_config)
         self._target = ""
         self._found: Found | None = None
+        self._camera_check = CameraCheck()
         self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
         self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
         self._tf = self._tf_publisher() if self.node_config.publish_tf else None
@@ -231,11 +233,20 @@ class ElevatorRectify(Node):
         for hint in self._hints.of(answer, frame.detections, depths, lost):
             self.get_logger().warning(hint)
         self._track = jumps, track
+        self._check_camera(answer, frame)
         if answer.fit.status == "contradicted" and self._hints.advice:
             answer = replace(answer, fit=replace(answer.fit, reason=f"{answer.fit.reason}; {self._hints.advice}"))
         self._publish(answer)
         if asked and self._finding is not None:
             self._finding.look(answer, partial(self._choose, answer, frame))
+
+    def _check_camera(self, answer: Answer, frame: Frame) -> None:
+        """Let an accepted frame say what it knows of the calibration."""
+        if answer.fit.ok:
+            rectified = self.node_config.image_is_rectified
+            self._camera_check.add(answer.fit, camera_from_message(frame.camera_info, rectified=rectified))
+        if warning := self._camera_check.warning():
+            self.get_logger().warning(warning)
 
     def _choose(self, answer: Answer, frame: Frame, label: str, max_lateral_std_m: float) -> Choice:
         """Return the button of a label in an answered frame."""
@@ -269,6 +280,7 @@ class ElevatorRectify(Node):
         """Publish the counts, once a second."""
         values = self.statistics.values(self.pairing, _DIAGNOSTICS_SECONDS)
         values["detections type"] = self._detections.type if self._detections.published else "none published"
+        values["calibration"] = self._camera_check.text
         self._choose_detector()
         silence = self._silence.look(self.pairing, self.statistics.frames, time.monotonic())
         if silence:

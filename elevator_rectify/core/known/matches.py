@@ -20,7 +20,7 @@ _MISSED_NATS, _INSIDE = 2.0, 0.5
 # A tracked pose must explain so much of what it should see.
 _TRACKED_SHARE = 0.8
 # Lattice steps by which the best fit is shifted to see what else explains the detections.
-_SHIFTS = 2
+_SHIFTS, _MOST_SHIFTED = 2, 8
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,15 @@ def searched(scene: Scene, evidence: Array) -> Matches | None:
 
 
 def _followed(scene: Scene, poses: Poses, evidence: Array) -> Matches:
-    """Return what the poses grow into, and the best of them shifted along the panel."""
-    matches = scored(scene, _grown(scene, poses), evidence)
-    best = matches.poses.take(np.array([matches.nats.argmax()]))
-    return ranked(_together(matches, scored(scene, _grown(scene, _shifted(scene, best)), evidence)))
+    """Return what the poses grow into, and the best of them shifted along the panel, until no shift is better."""
+    matches = ranked(scored(scene, _grown(scene, poses), evidence))
+    for _ in range(_MOST_SHIFTED):
+        before = matches.nats[0]
+        shifted = scored(scene, _grown(scene, _shifted(scene, matches.best)), evidence)
+        matches = ranked(_together(matches, shifted))
+        if matches.nats[0] <= before:
+            break
+    return matches
 
 
 def _grown(scene: Scene, poses: Poses) -> Poses:

@@ -78,7 +78,7 @@ def _draw_button(canvas: Image, button: Button, size: int, thickness: int) -> No
         if button.state == "inferred":
             for start in range(0, 360, 45):
                 cv2.ellipse(canvas, (x, y), (size, size), 0, start, start + 25, AMBER, thickness, cv2.LINE_AA)
-        colour = WHITE if button.label_source == "read" else AMBER
+        colour = WHITE if button.label_source in ("read", "taught") else AMBER
         at = (x + size // 2, y - size // 2)
         outlined_text(canvas, _ascii(button), at, size / 28.0, colour)
 
