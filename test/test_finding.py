@@ -16,7 +16,7 @@ from rclpy.action import ActionClient
 from elevator_rectify.ros.finding import action
 from test.harness import ENVIRONMENT, PREFIX, ROOT, Harness, start, stop
 from test.messages import vision_detections
-from test.test_live import TRUTH, frame
+from test.test_live import TRUTH, frame, live
 
 INTERFACE = action("FindButton")
 pytestmark = pytest.mark.skipif(
@@ -59,6 +59,20 @@ class Client:
         got = handle.get_result_async()
         assert self.harness.until(got.done, 10.0)
         return got.result().status, got.result().result
+
+
+def test_a_goal_ends_with_the_node() -> None:
+    with live(inputs=VISION) as (process, harness):
+        assert harness.until(harness.connected)
+        asking = Client(harness)
+        (goal, _), other = asking.ask("7"), asking.ask("9")[0]
+        waiting = [handle.get_result_async() for handle in (goal, other)]
+        harness.until(lambda: False, 0.5)
+        stop(process)
+        assert harness.until(lambda: all(w.done() for w in waiting), 5.0)
+        for got in waiting:
+            assert (got.result().status, got.result().result.status) == (ABORTED, INTERFACE.Result.ENDED)
+        asking.close()
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.clock import Clock
+from rclpy.executors import Executor
 from rclpy.node import Node
 
 from elevator_rectify.core.reading.agreement import Look, Request, Verdict, timed_out, verdict
@@ -25,6 +26,8 @@ from elevator_rectify.ros.poses import pose_of, quaternion, ros_header, stamped_
 _INTERFACES = "elevator_rectify_interfaces.action"
 # Goals that have no more time, or were withdrawn, are noticed so soon.
 _TICK_SECONDS = 0.05
+# A node that ends takes so long to answer what still waits.
+_LAST_ANSWERS_SECONDS = 0.3
 
 # Chooses the button of a label in the present frame, its place as exact as the second argument says (0: as usual).
 Choose = Callable[[str, float], Choice]
@@ -186,8 +189,14 @@ class FindButton:
             result.alternative_probabilities = [p for _, p in seen.look.choice.others]
         return result
 
-    def close(self) -> None:
-        """Leave the graph; a goal that still waits gets no result, as of a node that died."""
+    def close(self, executor: Executor | None) -> None:
+        """Let what still waits end, as far as the executor gets to answer, and leave the graph."""
+        waited = list(self._goals)
+        for goal in waited:
+            self._decide(goal, Verdict("ended", "the node ends"))
+        end = time.monotonic() + _LAST_ANSWERS_SECONDS
+        while waited and executor is not None and time.monotonic() < end:
+            executor.spin_once(timeout_sec=_TICK_SECONDS)
         self._server.destroy()
 
 

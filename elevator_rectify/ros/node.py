@@ -296,7 +296,7 @@ class ElevatorRectify(Node):
         """Stop the worker, say what was refused, leave the graph."""
         self._end_worker()
         if self._finding is not None:
-            self._finding.close()
+            self._finding.close(self.executor)
         if self.context.ok():
             verdicts, dropped = dict(self.statistics.verdicts), dict(self.pairing.dropped)
             self.get_logger().info(f"answered or refused: {verdicts}, dropped: {dropped}")
