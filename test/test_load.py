@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from elevator_rectify.live import chaos, latency, soak
+from elevator_rectify.ros.finding import action
 from test.harness import DOMAIN
 
 
@@ -12,6 +13,8 @@ def test_chaos_finds_nothing_wrong(capsys: pytest.CaptureFixture[str]) -> None:
     assert chaos.main(["--minutes", "0.4", "--seed", "3", "--domain", str(DOMAIN)]) == 0
     said = capsys.readouterr().out
     assert "0 things went wrong" in said and "refused: bad_input" in said and "pose: ok" in said
+    if action("FindButton") is not None:
+        assert "goals: " in said and "bad_request" in said
 
 
 def test_every_frame_is_answered_beside_the_relay(capsys: pytest.CaptureFixture[str]) -> None:

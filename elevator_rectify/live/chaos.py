@@ -17,6 +17,7 @@ from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.live.acts import NOTHING, POSE, REFUSED, Script
 from elevator_rectify.live.driver import Driver, driven
 from elevator_rectify.live.frames import Frames
+from elevator_rectify.live.goals import asking
 from elevator_rectify.progress import progress
 from elevator_rectify.recordings.report import pose_of_message
 from elevator_rectify.ros.config import DEFAULT_NODE
@@ -45,7 +46,7 @@ def run(frames: Frames, seconds: float, seed: int, compressed: bool, domain: int
     script = Script(driver, frames, np.random.default_rng(seed), compressed)
     command = [*_NODE, "-p", f"image_transport:={'compressed' if compressed else 'raw'}"]
     try:
-        with driven(command, driver, domain):
+        with driven(command, driver, domain), asking(domain, seed) as goals:
             title, begin = f"chaos {'compressed' if compressed else 'raw'}", time.monotonic()
             for second in progress(range(1, int(seconds) + 1), title):
                 while time.monotonic() - begin < second:
@@ -54,7 +55,9 @@ def run(frames: Frames, seconds: float, seed: int, compressed: bool, domain: int
     finally:
         driver.close()
     print(", ".join(f"{n} {name}" for name, n in sorted(script.acts.items())))
-    return [*wrong_outcomes(script), *wrong_counts(script)]
+    if goals.ended:
+        print("goals: " + ", ".join(f"{n} {name}" for name, n in sorted(goals.ended.items())))
+    return [*wrong_outcomes(script), *wrong_counts(script), *goals.without_result]
 
 
 def wrong_outcomes(script: Script) -> list[str]:

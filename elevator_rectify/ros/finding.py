@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -72,7 +72,7 @@ class FindButton:
     """Serves goals, several at a time: the worker adds what each frame says, the executor's thread answers."""
 
     def __init__(self, node: Node, kind: Any, frames: Frames, steady: Clock) -> None:
-        self._type = kind
+        self._type, self._ending = kind, False
         self._frames, self._goals, self._lock = frames, list[Goal](), threading.Lock()
         self._server = ActionServer(
             node,
@@ -80,6 +80,7 @@ class FindButton:
             "~/find_button",
             self._result,
             handle_accepted_callback=self._accepted,
+            goal_callback=lambda _: GoalResponse.REJECT if self._ending else GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         self._timer = node.create_timer(_TICK_SECONDS, self._tick, clock=steady)
@@ -191,7 +192,7 @@ class FindButton:
 
     def close(self, executor: Executor | None) -> None:
         """Let what still waits end, as far as the executor gets to answer, and leave the graph."""
-        waited = list(self._goals)
+        self._ending, waited = True, list(self._goals)
         for goal in waited:
             self._decide(goal, Verdict("ended", "the node ends"))
         end = time.monotonic() + _LAST_ANSWERS_SECONDS
