@@ -26,7 +26,10 @@ PROGRAMS = {
     "latency": ("elevator_rectify.live.latency", "latency and processor time of the live node beside a bare relay"),
     "relay": ("elevator_rectify.live.relay", "the bare relay of the latency table"),
     "soak": ("elevator_rectify.live.soak", "memory, rates and latencies of the live node over many frames"),
-    "chaos": ("elevator_rectify.live.chaos", "the live node under everything that goes wrong, with clients that ask, its counts checked"),
+    "chaos": (
+        "elevator_rectify.live.chaos",
+        "the live node under all that goes wrong, its counts and its clients' goals checked",
+    ),
 }
 # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
 _WHOLE_COMMAND = ("node", "lifecycle_node", "detector", "relay")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core import Config, fit_panel
-from elevator_rectify.core.config import ScaleConfig, SmoothingConfig
+from elevator_rectify.core.config import ScaleConfig, SmoothingConfig, with_values
 from elevator_rectify.core.geometry.pose import covariance_at
 from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.geometry.scale import scaled, with_scale
@@ -21,6 +21,19 @@ from elevator_rectify.render.scene import Scene
 from test.scenes import rotation_error_deg, scene
 
 NO_PITCH = ScaleConfig()
+
+
+def test_the_ratio_of_known_pitches_is_kept() -> None:
+    off = []
+    for row_pitch in (0.0, 1.1 * PITCH_M):
+        values = {"scale.column_pitch_m": PITCH_M, "scale.column_pitch_std_m": 1e-4, "scale.row_pitch_m": row_pitch}
+        config = with_values(Config(), {**values, "scale.row_pitch_std_m": 1e-4})
+        fits = [(v, fit_panel(v.centres_px, v.camera, config)) for v in (scene(k, sigma_px=1.5) for k in range(12))]
+        off.append([abs(float(np.log(f.pitch[1] / f.pitch[0] / 1.1))) for _, f in fits if f.ok])
+        errors = [rotation_error_deg(f.R_camera_panel, v.R_camera_panel) for v, f in fits if f.ok]
+        assert len(errors) >= 9 and np.mean(errors) < 1.5
+    # The ratio is given to .3 %; centres alone know it ten times less.
+    assert np.max(off[1]) < 0.006 and np.mean(off[0]) > 4.0 * np.mean(off[1])
 
 
 def depth_of(view: Scene) -> Array:

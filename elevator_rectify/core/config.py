@@ -85,6 +85,9 @@ class JointConfig(Checked):
     """Joint refinement of lattice and pose."""
 
     inlier_share: float = value(0.8, "prior share of detections that are buttons of the panel", low=0.05, high=0.999)
+    log_aspect: float = value(
+        0.0, "prior of ln(row pitch / column pitch), where scale.row_pitch_m is 0", low=-1.5, high=1.5
+    )
     log_aspect_std: float = value(0.4, "prior spread of ln(row pitch / column pitch)", low=1e-4, high=10.0)
     max_usual_tilt_rad: float = value(
         1.0, "tilt up to which all are equally likely; beyond, the prior falls", low=0.1, high=1.5
@@ -163,6 +166,10 @@ class ScaleConfig(Checked):
         0.0, "distance of two columns; 0: unknown, then lengths are in pitches", low=0.0, high=1.0
     )
     column_pitch_std_m: float = value(0.002, "its standard deviation", low=0.0, high=1.0)
+    row_pitch_m: float = value(
+        0.0, "distance of two rows; with the columns' one, their ratio sharpens the pose; 0: unknown", low=0.0, high=1.0
+    )
+    row_pitch_std_m: float = value(0.0005, "its standard deviation", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True)

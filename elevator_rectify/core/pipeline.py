@@ -27,6 +27,8 @@ from elevator_rectify.core.types import Array, Detection, FitResult, Image, Know
 DEFAULT_CONFIG = Config()
 # The grid of the frame before is the same one where its origin has moved by less than so many pitches since.
 _STAYED = 0.5
+# The ratio of the pitches is not known better, as a share; poses have none that is larger.
+_LEAST_RATIO_STD, _MOST_LOG_ASPECT = 1e-3, 1.5
 
 
 def fit_panel(
@@ -56,11 +58,23 @@ def fit_panel(
         sigma = sigma_px(usable, camera, config) / camera.focal_px
         fit = fit_known(usable, given, camera, sigma, config, known, previous, image)
         return GridFit.of(fit, detections=given)
+    config = with_pitches(config)
     fit = _fit(detections, camera, config, previous, image)
     if image is not None and config.measurement.witness:
         fit = _upright(fit, camera, previous, image, given)
         fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))
     return GridFit.of(fit, detections=given)
+
+
+def with_pitches(config: Config) -> Config:
+    """Return the settings with the ratio of the pitches where both are known: it tells much of the tilt."""
+    scale = config.scale
+    if not (scale.row_pitch_m > 0 and scale.column_pitch_m > 0):
+        return config
+    spread = np.hypot(scale.row_pitch_std_m / scale.row_pitch_m, scale.column_pitch_std_m / scale.column_pitch_m)
+    ratio = float(np.clip(np.log(scale.row_pitch_m / scale.column_pitch_m), -_MOST_LOG_ASPECT, _MOST_LOG_ASPECT))
+    std = float(np.clip(spread, _LEAST_RATIO_STD, config.joint.log_aspect_std))
+    return replace(config, joint=replace(config.joint, log_aspect=ratio, log_aspect_std=std))
 
 
 def _upright(

@@ -25,6 +25,8 @@ from elevator_rectify.core.types import Detection, FitResult, Image, KnownPanel
 _CLEAR_NATS = 12.0
 # So far, in pitches, the picture may show the buttons from where they were taught: in 99 of 100 real views it was less.
 _MOST_RESIDUAL = 0.035
+# Such a share of the detections may be taken for another button in the picture than by their places.
+_MOST_SLIPPED = 0.05
 
 
 def fit_known(
@@ -70,6 +72,10 @@ def _in_picture(scene: Scene, best: LayoutFit, boxes: FitResult, image: Image) -
     if measured is None or measured.places.seen[measured.places.detected].mean() < config.measurement.min_seen_share:
         return boxes
     fit = by_picture(measured, boxes, usable, scene.sigma, scene.camera, config, scene.known)
+    both = (fit.matched >= 0) & (boxes.matched >= 0)
+    # Where buttons are small, the picture may slip to their neighbours.
+    if both.any() and (fit.matched != boxes.matched)[both].mean() > _MOST_SLIPPED:
+        return boxes
     if measured.residual <= _MOST_RESIDUAL:
         return fit
     reason = f"this is not '{scene.known.name}': the picture shows its buttons {measured.residual:.2f} pitches off"

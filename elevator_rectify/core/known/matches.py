@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from elevator_rectify.core.config import Config
@@ -12,7 +13,15 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.known.hypotheses import grown, hypotheses, nearest
 from elevator_rectify.core.known.placed import PlacedLayout
-from elevator_rectify.core.lattice.refinement import Poses, joined, log_prior, mixture_likelihood
+from elevator_rectify.core.lattice.refinement import (
+    Poses,
+    fitted,
+    joined,
+    log_prior,
+    mirrored,
+    mixture_likelihood,
+    poses_from_maps,
+)
 from elevator_rectify.core.types import Array, BoolArray, FitResult, IntArray, KnownPanel
 
 # A button that should be seen and is not costs so many nats; it should be, so many pitches within the picture's border.
@@ -21,6 +30,8 @@ _MISSED_NATS, _INSIDE = 2.0, 0.5
 _TRACKED_SHARE = 0.8
 # Lattice steps by which the best fit is shifted to see what else explains the detections.
 _SHIFTS, _MOST_SHIFTED = 2, 8
+# So many detections must lie on the panel when it is sheared.
+_FEWEST_SHEARED, _SHEARED_STEPS = 6, 4
 
 
 @dataclass(frozen=True)
@@ -74,7 +85,7 @@ def tracked(scene: Scene, evidence: Array, previous: FitResult | None) -> Matche
     """Return the matches around an earlier pose of the panel, None where it explains less than most of them."""
     if previous is None or not previous.ok or previous.known is not scene.known:
         return None
-    matches = _followed(scene, _pose_of(previous), evidence)
+    matches = _followed(scene, _pose_of(previous), evidence, shear=False)
     filled = np.unique(matches.node[0][matches.inlier[0] > 0.5])
     seen = np.flatnonzero(in_view(scene, matches.best)[0])
     return matches if len(seen) and np.isin(seen, filled).mean() > _TRACKED_SHARE else None
@@ -87,16 +98,17 @@ def searched(scene: Scene, evidence: Array) -> Matches | None:
     found = hypotheses(scene.layout.places, rays, evidence, scene.sigma, scene.config.joint)
     if found is None:
         return None
-    return _followed(scene, replace(found, R=upright.T @ found.R, t=found.t @ upright), evidence)
+    return _followed(scene, replace(found, R=upright.T @ found.R, t=found.t @ upright), evidence, shear=True)
 
 
-def _followed(scene: Scene, poses: Poses, evidence: Array) -> Matches:
-    """Return what the poses grow into, and the best of them shifted along the panel, until no shift is better."""
+def _followed(scene: Scene, poses: Poses, evidence: Array, shear: bool) -> Matches:
+    """Return what the poses grow into, and the best of them shifted along the panel, and sheared where that is asked
+    for, until none is better."""
     matches = ranked(scored(scene, _grown(scene, poses), evidence))
     for _ in range(_MOST_SHIFTED):
         before = matches.nats[0]
-        shifted = scored(scene, _grown(scene, _shifted(scene, matches.best)), evidence)
-        matches = ranked(_together(matches, shifted))
+        others = joined(_shifted(scene, matches.best), *(_sheared(scene, matches) if shear else ()))
+        matches = ranked(_together(matches, scored(scene, _grown(scene, others), evidence)))
         if matches.nats[0] <= before:
             break
     return matches
@@ -119,6 +131,37 @@ def _shifted(scene: Scene, poses: Poses) -> Poses:
     by = by[np.abs(by).sum(axis=1) > 0] * (scene.known.pitch / scene.known.pitch[0])
     many = poses.take(np.zeros(len(by), dtype=np.int64))
     return replace(many, t=many.t + by @ poses.R[0, :, :2].T)
+
+
+def _sheared(scene: Scene, matches: Matches) -> list[Poses]:
+    """Return the poses that the best match has where every column is taken a row further than the one before, or every
+    row a column: a lattice that is sheared looks much like itself seen from another side."""
+    cells, on = scene.known.cells[matches.node[0]], matches.inlier[0] > 0.5
+    button = {(int(r), int(c)): k for k, (r, c) in enumerate(scene.known.cells) if r >= 0}
+    found = []
+    for axis in (0, 1):
+        for by in (-1, 1):
+            for fixed in {0, int(cells[:, 1 - axis].max())}:
+                moved = cells.copy()
+                moved[:, axis] += by * (cells[:, 1 - axis] - fixed)
+                nodes = np.array([button.get((int(r), int(c)), -1) for r, c in moved])
+                found += _posed(scene, nodes, on & (cells[:, 0] >= 0) & (nodes >= 0))
+    return found
+
+
+def _posed(scene: Scene, nodes: IntArray, on: BoolArray) -> list[Poses]:
+    """Return the pose, with its mirrored tilt, in which the detections that are `on` are the buttons `nodes` (N,); none
+    where they do not determine it."""
+    places, rays = scene.layout.places[nodes[on]], scene.usable.rays[on]
+    if on.sum() < _FEWEST_SHEARED or np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < 1e-6:
+        return []
+    G = cv2.findHomography(places, rays)[0]
+    if G is None or not np.isfinite(G).all():
+        return []
+    pose = replace(poses_from_maps(G[None], places.mean(axis=0)[None], np.zeros(1)), log_aspect=np.zeros(1))
+    both = joined(pose, mirrored(pose))
+    every = [np.stack([part, part]) for part in (places, np.ones(len(places)))]
+    return [fitted(both, every[0], every[1], rays, scene.sigma, scene.config.joint, _SHEARED_STEPS)]
 
 
 def scored(scene: Scene, poses: Poses, evidence: Array) -> Matches:

@@ -47,6 +47,6 @@ def with_shape_known(config: Config, known: KnownPanel) -> Config:
     scatter = float(np.clip(known.place_std / known.pitch[0], *_SCATTER))
     return replace(
         config,
-        joint=replace(config.joint, log_aspect_std=spread, empty_nats=0.0),
+        joint=replace(config.joint, log_aspect=0.0, log_aspect_std=spread, empty_nats=0.0),
         measurement=replace(config.measurement, scatter_pitch=scatter),
     )

@@ -166,7 +166,7 @@ def refine_layout(
         error, J, _ = design(fit, rays)
         normal = information(J, fit.inlier, fit.sigma, config)
         gradient = np.einsum("nij,ni,n->j", J, error, fit.inlier) / fit.sigma**2
-        gradient[6] -= fit.pose.log_aspect[0] / config.log_aspect_std**2
+        gradient[6] -= (fit.pose.log_aspect[0] - config.log_aspect) / config.log_aspect_std**2
         if log_sizes is not None:
             of_sizes, pull = size_information(*depths(fit), log_sizes, fit.inlier)
             normal, gradient = normal + of_sizes, gradient + pull

@@ -214,7 +214,8 @@ def log_prior(poses: Poses, config: JointConfig) -> Array:
     roll = np.arctan2(poses.R[:, 1, 0] - poses.R[:, 0, 1], poses.R[:, 0, 0] + poses.R[:, 1, 1])
     steep = np.maximum(tilt - config.max_usual_tilt_rad, 0.0) / _STEEP_RAD
     turned = np.maximum(np.abs(roll) - config.max_roll_rad, 0.0) / _TURNED_RAD
-    return np.asarray(-0.5 * ((poses.log_aspect / config.log_aspect_std) ** 2 + steep**2 + turned**2))
+    ratio = (poses.log_aspect - config.log_aspect) / config.log_aspect_std
+    return np.asarray(-0.5 * (ratio**2 + steep**2 + turned**2))
 
 
 def estimated_sigma(error2: Array, inlier: Array, sigma: float) -> Array:
@@ -233,7 +234,7 @@ def gauss_newton(J: Array, error: Array, weights: Array, sigma: Array, log_aspec
     normal = np.swapaxes(weighted, 1, 2) @ flat
     gradient = np.einsum("bmi,bm->bi", weighted, error.reshape(B, 2 * N))
     normal[:, 6, 6] += 1.0 / config.log_aspect_std**2
-    gradient[:, 6] -= log_aspect / config.log_aspect_std**2
+    gradient[:, 6] -= (log_aspect - config.log_aspect) / config.log_aspect_std**2
     diagonal = np.arange(7)
     normal[:, diagonal, diagonal] *= 1.0 + 1e-4
     normal[:, diagonal, diagonal] += 1e-6

@@ -55,8 +55,9 @@ def with_columns_as_rows(
     change: _Change, fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig
 ) -> LayoutFit:
     """Do with the columns what `change` does with rows, where that explains the detections better."""
-    across = evaluate(transposed(fit.pose), fit.layout.transposed, rays, sigma, area, config)
-    changed = change(across, rays, sigma, area, config)
+    turned = replace(config, log_aspect=-config.log_aspect)
+    across = evaluate(transposed(fit.pose), fit.layout.transposed, rays, sigma, area, turned)
+    changed = change(across, rays, sigma, area, turned)
     if changed is across:
         return fit
     back = evaluate(transposed(changed.pose), changed.layout.transposed, rays, sigma, area, config)

@@ -130,7 +130,7 @@ def fitted(fit: LayoutFit, places: Places, scatter: float, view: View, config: C
         half_normal = np.swapaxes(J, 1, 2) @ (robust[:, None, None] * weight)
         normal, gradient = (half_normal @ J).sum(axis=0), (half_normal @ off[..., None]).sum(axis=0)[:, 0]
         normal[6, 6] += 1.0 / config.joint.log_aspect_std**2
-        gradient[6] -= fit.pose.log_aspect[0] / config.joint.log_aspect_std**2
+        gradient[6] -= (fit.pose.log_aspect[0] - config.joint.log_aspect) / config.joint.log_aspect_std**2
         step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
         fit = replace(fit, pose=stepped(fit.pose, step[None, :7]), layout=moved(fit.layout, step[7:]))
     off, J, d_uv = _in_lattice(fit, rays)
