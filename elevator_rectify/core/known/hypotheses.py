@@ -109,10 +109,14 @@ def _around(
     step = np.take_along_axis(apart, by_distance[:, :1], axis=1)[:, 0]
     around = by_distance[corner]
     expected = rays[at][:, None] + (places[around] - places[corner][:, None]) @ np.swapaxes(A, 1, 2)
-    distance2 = ((expected[:, :, None] - rays) ** 2).sum(axis=-1)
-    found = distance2.argmin(axis=-1)
+    found, least = np.empty(around.shape, dtype=np.int64), np.empty(around.shape)
+    # One by one: all at once would take a hundred megabytes.
+    for k in range(around.shape[1]):
+        distance2 = (expected[:, k, :1] - rays[:, 0]) ** 2 + (expected[:, k, 1:] - rays[:, 1]) ** 2
+        found[:, k] = distance2.argmin(axis=1)
+        least[:, k] = distance2.min(axis=1)
     scale = np.sqrt(np.maximum(np.linalg.det(A), 1e-12)) * step[corner]
-    near = np.take_along_axis(distance2, found[..., None], axis=-1)[..., 0] < (_NEAR * scale[:, None]) ** 2
+    near = least < (_NEAR * scale[:, None]) ** 2
     return around, found, near & (found != at[:, None])
 
 
