@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from elevator_rectify.core.config import METHODS, Config, flatten, with_values
+from elevator_rectify.core.known.file import known_panel
 from elevator_rectify.core.view.text_grid import LEGEND
 from elevator_rectify.progress import progress
 from elevator_rectify.recordings.answering import Answered, Ended, answers
@@ -77,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _config(assignments: list[str]) -> Config:
-    """Return the configuration with PATH=VALUE strings applied."""
+    """Return the configuration with PATH=VALUE strings applied. Raises ValueError for what cannot be used."""
     config, values = Config(), {}
     for assignment in assignments:
         path, _, text = assignment.partition("=")
@@ -85,6 +86,8 @@ def _config(assignments: list[str]) -> Config:
             raise ValueError(f"there is no parameter '{path}'")
         values[path] = _value(path, text, type(flatten(config)[path][1]))
     changed: Config = with_values(config, values)
+    # What cannot be read ends the program here, not at the first frame.
+    known_panel(changed.panel)
     return changed
 
 
