@@ -118,7 +118,7 @@ def _image_px(fit: FitResult, places: PanelPlaces) -> Array:
     if fit.known is not None:
         px = np.concatenate([cells, np.zeros((len(places.panel) - len(cells), 2))])
         px[known_index(fit, fit.known)] = fit.known_px
-        return px
+        return np.asarray(px)
     if fit.measurement is not None:
         seen = fit.measurement.centre_px.reshape(-1, 2)
         cells = np.where(np.isfinite(seen), seen, cells)
