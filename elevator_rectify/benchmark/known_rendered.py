@@ -83,14 +83,12 @@ def _judged(fit: GridFit, scene: Scene, true: Array) -> Fitted:
     at = scene.panel.placed_m[scene.button[mine]] @ scene.R_camera_panel.T + scene.t_camera_panel
     across = (np.array([place[k] for k in mine]).reshape(-1, 3) - at) @ scene.R_camera_panel[:, :2]
     lateral = 1e3 * np.linalg.norm(across, axis=1) * _AWAY_M / at[:, 2]
-    covered, wrong = True, False
+    wrong = False
     if fit.known is not None:
         on = (fit.matched >= 0) & (scene.button >= 0)
         named = true[fit.matched[on]]
         wrong = bool(((named >= 0) & (named != scene.button[on])).any())
-    spread = np.array([fit.buttons[k].covariance for k, b in enumerate(fit.buttons) if b.detection in mine])
-    covered = bool(len(spread)) and _within(fit, scene, mine)
-    return Fitted(True, float(np.rad2deg(turn)), lateral, covered, wrong)
+    return Fitted(True, float(np.rad2deg(turn)), lateral, bool(mine) and _within(fit, scene, mine), wrong)
 
 
 def _within(fit: GridFit, scene: Scene, mine: list[int]) -> bool:

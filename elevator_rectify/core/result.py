@@ -112,6 +112,11 @@ def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config, lea
     implausible = _implausible(found, fit, camera)
     if implausible:
         return replace(found, status="no_lattice", reason=implausible)
+    return known_well(found, config, least)
+
+
+def known_well(found: FitResult, config: Config, least: float) -> FitResult:
+    """Return the fit with its status, by its covariance and confidence, of which `least` is needed."""
     spread, limit = rotation_std_rad(found.covariance), config.accept.max_rotation_std_rad
     if spread > limit:
         reason = f"the rotation is known to {spread:.3f} rad only, {limit:g} allowed"

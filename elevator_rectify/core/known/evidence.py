@@ -8,6 +8,7 @@ import numpy as np
 
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.misread import right_alone
+from elevator_rectify.core.reading.places import readings_of
 from elevator_rectify.core.types import Array, BoolArray, Detection
 
 # A label is on one button in so many; a sure reading is wrong, or the panel was taught wrongly, that often.
@@ -18,11 +19,7 @@ _SURE = 0.8
 
 def distribution(detection: Detection) -> dict[str, float]:
     """Return what the detection's button may be labelled, with probabilities; what is missing to 1 is unread."""
-    found: dict[str, float] = {}
-    for text, p in detection.readings:
-        if label := canonical(text):
-            found[label] = found.get(label, 0.0) + float(p)
-    label = canonical(detection.label)
+    found, label = dict(readings_of(detection)), canonical(detection.label)
     if not found and label:
         score = float(np.nan_to_num(detection.score))
         return {label: float(right_alone(label, np.array(score)))}

@@ -14,11 +14,11 @@ from elevator_rectify.core.known.evidence import reading_nats
 from elevator_rectify.core.known.matches import Matches, Scene, ranked, scored, searched, tracked
 from elevator_rectify.core.known.placed import placed_layout, with_shape_known
 from elevator_rectify.core.known.result import by_boxes, by_picture
-from elevator_rectify.core.known.verdict import FEWEST, identified, judged, places
+from elevator_rectify.core.known.verdict import FEWEST, identified, places
 from elevator_rectify.core.lattice.layout import LayoutFit, evaluate, refine_layout
 from elevator_rectify.core.picture.measured import measure
 from elevator_rectify.core.reading.reader import labelled, read_in_plane
-from elevator_rectify.core.result import failed_fit
+from elevator_rectify.core.result import failed_fit, known_well
 from elevator_rectify.core.types import Detection, FitResult, Image, KnownPanel
 
 # A tracked match whose margin is above needs no reading.
@@ -59,10 +59,10 @@ def fit_known(
         read = _read(scene, matches, detections, image)
         matches = ranked(scored(scene, matches.poses, reading_nats(read, known.labels)))
     best = _refined(scene, matches)
-    fit = identified(scene, matches, by_boxes(best, usable, camera, scene.config, known), read, follows)
+    fit = identified(scene, matches, by_boxes(best, scene), read, follows)
     if fit.ok and image is not None:
         fit = _in_picture(scene, best, fit, image)
-    return judged(fit, scene.config)
+    return known_well(fit, config, config.accept.min_confidence) if fit.ok else fit
 
 
 def _in_picture(scene: Scene, best: LayoutFit, boxes: FitResult, image: Image) -> FitResult:
@@ -71,7 +71,7 @@ def _in_picture(scene: Scene, best: LayoutFit, boxes: FitResult, image: Image) -
     measured = measure(best, usable.rays, usable.sizes_px, scene.sigma, image, scene.camera, config, halve=False)
     if measured is None or measured.places.seen[measured.places.detected].mean() < config.measurement.min_seen_share:
         return boxes
-    fit = by_picture(measured, boxes, usable, scene.sigma, scene.camera, config, scene.known)
+    fit = by_picture(measured, boxes, scene)
     both = (fit.matched >= 0) & (boxes.matched >= 0)
     # Where buttons are small, the picture may slip to their neighbours.
     if both.any() and (fit.matched != boxes.matched)[both].mean() > _MOST_SLIPPED:
@@ -84,7 +84,7 @@ def _in_picture(scene: Scene, best: LayoutFit, boxes: FitResult, image: Image) -
 
 def _read(scene: Scene, matches: Matches, detections: Sequence[Detection], image: Image) -> list[Detection]:
     """Return the usable detections with what our own reader reads where they bring no label."""
-    fit = by_boxes(_refined(scene, matches), scene.usable, scene.camera, scene.config, scene.known)
+    fit = by_boxes(_refined(scene, matches), scene)
     given, rays = tuple(detections), fit.rays.copy()
     if not all(d.label for d in given):
         # What lies elsewhere may even be beyond the plane's horizon.

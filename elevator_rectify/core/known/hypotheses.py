@@ -1,8 +1,7 @@
 """Poses of a taught panel that detections may be seen from: three of its buttons taken for three detections.
 
-A button and two of its neighbours fix an affine map; what that map makes of the buttons
-around them shows whether it is worth more. An affine map of a plane of known shape is two poses (weak perspective):
-the tilt is the same, its sign is not known.
+A button and two of its neighbours fix an affine map; what that map makes of the buttons around them shows whether it is
+worth more. An affine map of a plane of known shape is two poses (weak perspective): the sign of the tilt is open.
 """
 
 from __future__ import annotations
@@ -12,7 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from elevator_rectify.core.config import JointConfig
-from elevator_rectify.core.lattice.refinement import Poses, fitted, gauss_newton, jacobians, joined, mirrored, stepped
+from elevator_rectify.core.lattice.refinement import (
+    Poses,
+    fitted,
+    gauss_newton,
+    jacobians,
+    joined,
+    mirrored,
+    projected,
+    stepped,
+)
 from elevator_rectify.core.types import Array, BoolArray, IntArray
 
 # Nearest neighbours of which two make a corner; so many corners of the panel, and of the detections, are tried.
@@ -149,17 +157,9 @@ def grown(poses: Poses, places: Array, rays: Array, sigma: float, config: JointC
 
 def nearest(poses: Poses, places: Array, rays: Array) -> tuple[IntArray, Array]:
     """Return the button (B, N) nearest to each detection, and the squared distance (B, N) from it."""
-    seen = _seen(poses, places)
+    points, _, depth = projected(poses, places[None])
+    # Far away what lies behind the camera.
+    seen = np.where(depth[..., None] > 1e-3, points, 1e6)
     distance2 = ((rays[None, :, None] - seen[:, None]) ** 2).sum(axis=-1)
     node = distance2.argmin(axis=-1)
     return node, np.take_along_axis(distance2, node[..., None], axis=-1)[..., 0]
-
-
-def _seen(poses: Poses, places: Array) -> Array:
-    """Return (B, K, 2) where the buttons are seen; far away what lies behind the camera."""
-    arm = (places[None] - poses.centre[:, None]) * np.stack([np.ones(len(poses.R)), np.exp(poses.log_aspect)], axis=-1)[
-        :, None
-    ]
-    points = arm @ np.swapaxes(poses.R[:, :, :2], 1, 2) + poses.t[:, None]
-    depth = points[..., 2:]
-    return np.asarray(np.where(depth > 1e-3, points[..., :2] / np.maximum(depth, 1e-3), 1e6))

@@ -21,6 +21,7 @@ from elevator_rectify.core.lattice.refinement import (
     mirrored,
     mixture_likelihood,
     poses_from_maps,
+    projected,
 )
 from elevator_rectify.core.types import Array, BoolArray, FitResult, IntArray, KnownPanel
 
@@ -190,10 +191,8 @@ def _first_of_each(node: IntArray, ratio: Array) -> BoolArray:
 
 def in_view(scene: Scene, poses: Poses) -> BoolArray:
     """Return (B, K) which buttons lie well within the picture."""
-    stretch = np.stack([np.ones(len(poses.R)), np.exp(poses.log_aspect)], axis=-1)
     ring = scene.layout.places + _INSIDE * np.array([[[-1, 0]], [[1, 0]], [[0, -1]], [[0, 1]]])
-    arm = (ring.reshape(-1, 2) - poses.centre[:, None]) * stretch[:, None]
-    points = arm @ np.swapaxes(poses.R[:, :, :2], 1, 2) + poses.t[:, None]
+    points = projected(poses, ring.reshape(1, -1, 2))[1] + poses.t[:, None]
     pixels = scene.camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
     with np.errstate(invalid="ignore"):
         inside = ((pixels > 0) & (pixels < [scene.camera.width - 1, scene.camera.height - 1])).all(axis=-1)

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.config import Config
-from elevator_rectify.core.detections import Usable
-from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import LatticePose, in_unit, scale_pose_covariance
+from elevator_rectify.core.known.matches import Scene
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, evaluate, pose_at
 from elevator_rectify.core.lattice.refinement import projected
 from elevator_rectify.core.picture.fit import measured_pose, measurement_of, with_overlapping
@@ -22,27 +21,19 @@ _BREAK_VARIANCE = 1e-10
 _ORIGIN = np.zeros(2)
 
 
-def by_boxes(fit: LayoutFit, usable: Usable, camera: Camera, config: Config, known: KnownPanel) -> FitResult:
+def by_boxes(fit: LayoutFit, scene: Scene) -> FitResult:
     """Return pose, covariance and grid of a fit to detections."""
-    pose, covariance = pose_at(fit, usable.rays, _ORIGIN, config.joint)
-    return _result(fit, pose, covariance * config.accept.covariance_scale, usable, camera, config, known)
+    pose, covariance = pose_at(fit, scene.usable.rays, _ORIGIN, scene.config.joint)
+    return _result(fit, pose, covariance * scene.config.accept.covariance_scale, scene)
 
 
-def by_picture(
-    measured: MeasuredFit,
-    boxes: FitResult,
-    usable: Usable,
-    sigma: float,
-    camera: Camera,
-    config: Config,
-    known: KnownPanel,
-) -> FitResult:
+def by_picture(measured: MeasuredFit, boxes: FitResult, scene: Scene) -> FitResult:
     """Return pose, covariance and grid of a fit to the picture; status and confidence are those of the boxes."""
-    pose, covariance = measured_pose(measured, _ORIGIN, config)
-    area = camera.width * camera.height / camera.focal_px**2
-    explained = evaluate(measured.fit.pose, measured.fit.layout, usable.rays, sigma, area, config.joint)
-    found = _result(with_overlapping(explained, usable, measured), pose, covariance, usable, camera, config, known)
-    seen = measurement_of(measured, float(found.pitch[0]), camera)
+    usable, joint = scene.usable, scene.config.joint
+    pose, covariance = measured_pose(measured, _ORIGIN, scene.config)
+    explained = evaluate(measured.fit.pose, measured.fit.layout, usable.rays, scene.sigma, scene.area, joint)
+    found = _result(with_overlapping(explained, usable, measured), pose, covariance, scene)
+    seen = measurement_of(measured, float(found.pitch[0]), scene.camera)
     shown = found.shown.copy()
     shown[measured.places.node[measured.places.seen]] = True
     return replace(
@@ -51,7 +42,7 @@ def by_picture(
         reason=boxes.reason,
         confidence=boxes.confidence,
         margin_nats=boxes.margin_nats,
-        measurement=_by_cell(seen, known),
+        measurement=_by_cell(seen, scene.known),
         shown=shown,
     )
 
@@ -69,16 +60,9 @@ def _by_cell(seen: Measurement, known: KnownPanel) -> Measurement:
     return replace(seen, centre_px=parts[0], covariance_px2=parts[1], correlation=parts[2])
 
 
-def _result(
-    fit: LayoutFit,
-    pose: LatticePose,
-    covariance: Array,
-    usable: Usable,
-    camera: Camera,
-    config: Config,
-    known: KnownPanel,
-) -> FitResult:
+def _result(fit: LayoutFit, pose: LatticePose, covariance: Array, scene: Scene) -> FitResult:
     """Return a fit's geometry in the user's unit; covariance: of (t, rotation, ln aspect) in column pitches."""
+    usable, camera, config, known = scene.usable, scene.camera, scene.config, scene.known
     scale, std, metric = _unit(known, config)
     unit = scale * float(known.pitch[0])
     stretch = np.array([1.0, pose.aspect])

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.confidence import rotation_std_rad
-from elevator_rectify.core.config import Config
 from elevator_rectify.core.known.evidence import agreeing
 from elevator_rectify.core.known.matches import Matches, Scene, in_view
-from elevator_rectify.core.result import sideways_std
 from elevator_rectify.core.types import BoolArray, Detection, FitResult
 
 FEWEST = 4
@@ -28,8 +25,6 @@ _MOST_STRANGERS, _STRANGERS_SHARE = 2, 0.1
 _NEXT, _AT = 1.6, 0.4
 # The margin that two places on a panel need where no label tells them apart.
 _UNREAD_NATS = 15.0
-# A place that is known less well, in pitches, may be the neighbour's.
-_MOST_SIDEWAYS = 0.25
 _MOST_SURE, _LARGEST_LOGIT = 0.999, 50.0
 
 
@@ -41,9 +36,10 @@ def identified(scene: Scene, matches: Matches, fit: FitResult, read: Sequence[De
     margin, config, known = matches.margin, scene.config, scene.known
     logit = np.clip(min(margin, float(matches.nats[0]) - _LEAST_NATS), -_LARGEST_LOGIT, _LARGEST_LOGIT)
     confidence = min(_MOST_SURE, 1.0 / (1.0 + float(np.exp(-logit))))
-    by_labels = follows or _sure(scene, matches, read) >= _FEWEST_SURE
+    said = _said(scene, matches, read)
+    by_labels = follows or bool(said.sure.sum() >= _FEWEST_SURE)
     fit = replace(fit, margin_nats=margin, confidence=confidence)
-    reason = _not_this(scene, matches, read, int(by_labels))
+    reason = _not_this(scene, matches, said, int(by_labels))
     if reason:
         return replace(fit, status="unknown_panel", reason=f"this is not '{known.name}': {reason}")
     if margin < (config.joint.ambiguity_nats if by_labels else _UNREAD_NATS):
@@ -52,41 +48,31 @@ def identified(scene: Scene, matches: Matches, fit: FitResult, read: Sequence[De
     return fit
 
 
-def _sure(scene: Scene, matches: Matches, read: Sequence[Detection]) -> int:
-    """Return how many of the detections among the buttons are surely read."""
-    sure = agreeing(read, [scene.known.labels[k] for k in matches.node[0]])[0]
-    return int((sure & places(scene, matches)[0]).sum())
+@dataclass(frozen=True)
+class _Said:
+    """Of the detections (N,): near or at the panel's buttons, surely read, and as what is taught there."""
+
+    near: BoolArray
+    at: BoolArray
+    sure: BoolArray
+    right: BoolArray
 
 
-def judged(fit: FitResult, config: Config) -> FitResult:
-    """Return the fit, refused where it is not known well enough."""
-    if not fit.ok:
-        return fit
-    spread, limit = rotation_std_rad(fit.covariance), config.accept.max_rotation_std_rad
-    if spread > limit:
-        reason = f"the rotation is known to {spread:.3f} rad only, {limit:g} allowed"
-        return replace(fit, status="uncertain", reason=reason)
-    sideways = sideways_std(fit) / float(fit.pitch.min())
-    if sideways > _MOST_SIDEWAYS:
-        return replace(fit, status="uncertain", reason=f"the place is known to {sideways:.2f} pitches sideways only")
-    if fit.confidence < config.accept.min_confidence:
-        reason = f"confidence {fit.confidence:.3f} < {config.accept.min_confidence:g}"
-        return replace(fit, status="low_confidence", reason=reason)
-    return fit
+def _said(scene: Scene, matches: Matches, read: Sequence[Detection]) -> _Said:
+    near, at = places(scene, matches)
+    sure, right = agreeing(read, [scene.known.labels[k] for k in matches.node[0]])
+    return _Said(near, at, sure & near, right & at)
 
 
-def _not_this(scene: Scene, matches: Matches, read: Sequence[Detection], by_labels: int) -> str:
+def _not_this(scene: Scene, matches: Matches, said: _Said, by_labels: int) -> str:
     """Return why the detections are not of this panel, '' where they may be."""
     on = matches.inlier[0] > 0.5
-    seen, node = np.flatnonzero(in_view(scene, matches.best)[0]), matches.node[0]
-    filled = np.unique(node[on])
+    seen, filled = np.flatnonzero(in_view(scene, matches.best)[0]), np.unique(matches.node[0][on])
     if len(filled) < FEWEST:
         return f"{len(filled)} of its buttons are seen, {FEWEST} needed"
     if matches.nats[0] < _LEAST_NATS:
         return "its buttons explain the detections no better than chance"
-    near, at = places(scene, matches)
-    sure, right = agreeing(read, [scene.known.labels[k] for k in node])
-    sure, right = sure & near, right & at
+    near, at, sure, right = said.near, said.at, said.sure, said.right
     wrong = int((sure & ~right).sum())
     if _WRONG_NATS * wrong > _RIGHT_NATS * right.sum() + _DOUBT_NATS:
         return f"{wrong} of {int(sure.sum())} labels that are read are not where it has them"

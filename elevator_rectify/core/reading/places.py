@@ -93,7 +93,7 @@ def known_places(fit: FitResult, known: KnownPanel) -> PanelPlaces:
         shown=shown,
         taken=none,
         beyond=none,
-        readings=tuple(_readings(d) for d in given),
+        readings=tuple(readings_of(d) for d in given),
     )
 
 
@@ -128,11 +128,11 @@ def places_of(fit: FitResult) -> PanelPlaces:
         shown=np.concatenate([shown, none]),
         taken=np.concatenate([taken, none]),
         beyond=np.concatenate([_beyond(fit).ravel(), none]),
-        readings=tuple(_readings(d) for d in given),
+        readings=tuple(readings_of(d) for d in given),
     )
 
 
-def _readings(detection: Detection | None) -> tuple[tuple[str, float], ...]:
+def readings_of(detection: Detection | None) -> tuple[tuple[str, float], ...]:
     """Return the canonical labels that were read, each once, with their probabilities."""
     found: dict[str, float] = {}
     for text, p in () if detection is None else detection.readings:
