@@ -8,7 +8,7 @@ from setuptools import find_packages, setup
 
 NAME = "elevator_rectify"
 PROGRAMS = """node lifecycle_node detector look teach calibrate_camera replay render make_bag play
-demo benchmark calibrate latency relay soak chaos""".split()  # noqa: SIM905
+demo press benchmark calibrate latency relay soak chaos""".split()  # noqa: SIM905
 # colcon installs into lib/elevator_rectify, where `ros2 run` looks. pip installs into bin, where a program called
 # `node` would hide Node.js: there the one command `elevator-rectify PROGRAM` serves.
 BY_PIP = bool({"bdist_wheel", "dist_info", "editable_wheel"} & set(sys.argv))

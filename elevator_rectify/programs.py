@@ -21,6 +21,7 @@ PROGRAMS = {
     "make_bag": ("elevator_rectify.recordings.make_bag", "make a bag from pictures and a JSON of boxes"),
     "play": ("elevator_rectify.recordings.play", "play a bag into live topics"),
     "demo": ("elevator_rectify.live.demo", "the live node, fed by a bag over DDS, checked and shown"),
+    "press": ("elevator_rectify.live.press", "a rendered press: the live node finds a button and sees its lamp go on"),
     "benchmark": ("elevator_rectify.benchmark.program", "success rate, calibration, time: rendered and real panels"),
     "calibrate": ("elevator_rectify.calibrate.confidence", "refit the confidence on generated scenes"),
     "latency": ("elevator_rectify.live.latency", "latency and processor time of the live node beside a bare relay"),

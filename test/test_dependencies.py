@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "elevator_rectify"
 ROWS = (
     ("core.types", "core.config"),
     ("core.geometry",),
-    ("core.detections", "core.paper", "core.lattice", "core.reading", "core.view", "core.detector"),
+    ("core.detections", "core.paper", "core.lattice", "core.reading", "core.view", "core.detector", "core.lamps"),
     ("core.confidence", "core.track", "core.self_calibration"),
     ("core.result",),
     ("core.picture",),

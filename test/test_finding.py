@@ -1,4 +1,4 @@
-"""The action find_button over real DDS: goals, feedback, results, and all that may be wrong with a goal."""
+"""The actions find_button and confirm_press over real DDS: goals, feedback, results, and all that may be wrong."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from rclpy.action import ActionClient
 
-from elevator_rectify.ros.finding import action
+from elevator_rectify.live import press
+from elevator_rectify.ros.goals import action
 from test.harness import ENVIRONMENT, PREFIX, ROOT, Harness, start, stop
 from test.messages import vision_detections
 from test.test_live import TRUTH, frame, live
 
-INTERFACE = action("FindButton")
+INTERFACE, CONFIRM = action("FindButton"), action("ConfirmPress")
 pytestmark = pytest.mark.skipif(
     INTERFACE is None, reason="elevator_rectify_interfaces is not installed: make test builds it"
 )
@@ -28,22 +29,30 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
 class Client:
-    """Asks a node for buttons."""
+    """Asks a node for buttons and presses."""
 
     def __init__(self, harness: Harness) -> None:
         self.harness, self.stamp = harness, 0
         self._client = ActionClient(harness.node, INTERFACE, PREFIX + "find_button")
-        assert harness.until(self._client.server_is_ready)
+        self._confirm = ActionClient(harness.node, CONFIRM, PREFIX + "confirm_press")
+        assert harness.until(lambda: self._client.server_is_ready() and self._confirm.server_is_ready())
 
     def close(self) -> None:
         """Leave the graph before the node does: a client that is left keeps its participant alive."""
         self._client.destroy()
+        self._confirm.destroy()
 
     def ask(self, label: str, **goal: Any) -> tuple[Any, list[Any]]:
         """Return the handle of an accepted goal, and the list that its feedback goes to."""
+        return self._ask(self._client, INTERFACE.Goal(label=label, **{"timeout_s": 20.0, **goal}))
+
+    def confirm(self, label: str, timeout_s: float = 20.0) -> tuple[Any, list[Any]]:
+        """The same for the press of a button."""
+        return self._ask(self._confirm, CONFIRM.Goal(label=label, timeout_s=timeout_s))
+
+    def _ask(self, client: Any, asked: Any) -> tuple[Any, list[Any]]:
         feedback: list[Any] = []
-        asked = INTERFACE.Goal(label=label, **{"timeout_s": 20.0, **goal})
-        sent = self._client.send_goal_async(asked, feedback_callback=lambda m: feedback.append(m.feedback))
+        sent = client.send_goal_async(asked, feedback_callback=lambda m: feedback.append(m.feedback))
         assert self.harness.until(sent.done)
         assert sent.result().accepted
         return sent.result(), feedback
@@ -172,10 +181,51 @@ def test_a_frame_that_cannot_be_known_is_named(client: Client) -> None:
     assert "map" in result.reason or "needs tf2_ros" in result.reason
 
 
-@pytest.mark.parametrize(("label", "code", "words"), [("7", 0, "press at "), ("99", 1, "unknown_label: no button")])
-def test_the_example_of_the_page_asks_and_is_answered(
-    client: Client, tmp_path: Path, label: str, code: int, words: str
+@pytest.mark.parametrize(
+    ("label", "timeout_s", "frames", "code"),
+    [
+        ("7", 0.0, 0, "bad_request"),
+        ("7", float("inf"), 0, "bad_request"),
+        (" ", 5.0, 0, "empty_target"),
+        ("7", 0.3, 0, "no_frames"),
+        ("99", 1.5, 3, "unseen"),
+    ],
+)
+def test_a_press_that_cannot_be_confirmed_says_why(
+    client: Client, label: str, timeout_s: float, frames: int, code: str
 ) -> None:
+    handle, feedback = client.confirm(label, timeout_s)
+    client.frames(frames)
+    status, result = client.result(handle)
+    assert (status, result.status) == (ABORTED, code) and result.reason
+    assert (result.frames, len(feedback), result.seen) == (frames, frames, 0)
+
+
+def test_a_watch_is_ready_after_three_frames_or_at_once_after_the_button_was_found(client: Client) -> None:
+    handle, feedback = client.confirm("11")
+    client.frames(3)
+    assert client.harness.until(lambda: len(feedback) == 3)
+    assert [f.ready for f in feedback] == [False, False, True]
+    assert client.harness.until(handle.cancel_goal_async().done)
+    assert client.result(handle)[1].status == "cancelled"
+    found, _ = client.ask("8", agreeing=1, of=1)
+    client.frames(1)
+    assert client.result(found)[1].status == "found"
+    handle, feedback = client.confirm("8", 1.0)
+    client.frames(1)
+    assert client.harness.until(lambda: len(feedback) == 1) and feedback[0].ready
+    assert client.result(handle)[1].status == "unseen"
+
+
+def test_a_rendered_press_is_confirmed_and_a_broken_lamp_told(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, answer in (([], "confirmed"), (["--broken"], "not_lit")):
+        # In a graph of its own: the node of the other tests still lives.
+        assert press.main(arguments) == 0
+        assert f"confirm_press 7: {answer}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("label", "words"), [("7", "press at "), ("99", "unknown_label: no button")])
+def test_the_example_of_the_page_asks_and_is_answered(client: Client, tmp_path: Path, label: str, words: str) -> None:
     page = (ROOT / "docs" / "pressing.md").read_text()
     example = tmp_path / "ask.py"
     example.write_text(page.split("```python\n")[1].split("```")[0])
@@ -193,4 +243,5 @@ def test_the_example_of_the_page_asks_and_is_answered(
         said, _ = asking.communicate(timeout=5.0)
     finally:
         asking.kill()
-    assert asking.returncode == code and words in said
+    # Nothing is pressed here: the button is found, and no lamp goes on.
+    assert asking.returncode == 1 and words in said and "went on" not in said

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from elevator_rectify.live import chaos, latency, soak
-from elevator_rectify.ros.finding import action
+from elevator_rectify.ros.goals import action
 from test.harness import DOMAIN
 
 

@@ -15,6 +15,7 @@ from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.figures import Figures, comparison, read_figures
 from elevator_rectify.benchmark.known import known_table
 from elevator_rectify.benchmark.known_rendered import known_rendered_table
+from elevator_rectify.benchmark.lamps import lamps_table
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
@@ -38,6 +39,7 @@ _LABELLED = {
     "turned": "reading turned pictures as they are and rectified",
     "end-to-end": "from the picture alone to the button, beside true boxes",
     "known": "panels taught from one picture, sought in other views",
+    "lamps": "whether a press is confirmed, lamps painted over pictures",
 }
 _FIXED_LEVELS = ["easy", "medium", "hard"]
 
@@ -175,6 +177,7 @@ def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float
         "turned": turned_reading_table,
         "end_to_end": end_to_end_table,
         "known": known_table,
+        "lamps": lamps_table,
     }
     for name, table in of_part.items():
         folder = getattr(options, name)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from elevator_rectify.benchmark.negatives import KINDS, boxed
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
 from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
-from elevator_rectify.calibrate import filled, networks
+from elevator_rectify.calibrate import filled, lamps, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
 from elevator_rectify.calibrate.real_pictures import as_stated, names_of, real_examples, searched
 from elevator_rectify.core import confidence
@@ -46,6 +46,12 @@ _RIGHT_DEG = 2.0
 _RIGHT_OUTLINE_DEG = 4.0
 _FEW = tuple(f"{shape} {number}" for shape in ("round", "square") for number in range(1, 6))
 _CONFIG = Config()
+# What else is refitted on labelled pictures, by argument.
+_REFITTED: dict[str, Callable[[Path], None]] = {
+    "detector": networks.calibrate_detector,
+    "reader": networks.calibrate_reader,
+    "lamps": lamps.calibrate_lamps,
+}
 
 
 @dataclass(frozen=True)
@@ -177,16 +183,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--outlines", action="store_true", help="the confidence of fits to the outlines of few buttons")
     parser.add_argument("--buttons", action="store_true", help="which empty cells hold a missed button (real panels)")
-    for name in ("detector", "reader"):
-        parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"our {name}'s scores")
+    for name in _REFITTED:
+        parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"the scores of {name}")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of real panels, with --buttons")
     parser.add_argument("--labelled", type=Path, help="real pictures: their fits count as much as the rendered ones'")
     options = parser.parse_args(arguments)
-    if options.detector is not None:
-        networks.calibrate_detector(options.detector)
-    if options.reader is not None:
-        networks.calibrate_reader(options.reader)
-    if options.detector is not None or options.reader is not None:
+    given = {name: getattr(options, name) for name in _REFITTED if getattr(options, name) is not None}
+    for name, folder in given.items():
+        _REFITTED[name](folder)
+    if given:
         return 0
     if options.buttons:
         return filled.main(options.data, options.seed)

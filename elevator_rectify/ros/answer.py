@@ -15,6 +15,7 @@ from elevator_rectify.core.detector.follow import Found, find_or_follow
 from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.scale import with_scale
+from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
@@ -68,6 +69,7 @@ class Answer:
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     labels: LabelsConfig = field(default_factory=LabelsConfig)
     placement: Placement | None = None
+    patches: Patches | None = None
 
     @cached_property
     def buttons(self) -> tuple[Button, ...]:
@@ -101,9 +103,9 @@ def answer_frame(
 ) -> tuple[Answer, Track | None]:
     """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
 
-    wanted: which pictures to make, of 'rectified', 'overlay' and 'rectified_overlay', and 'placement' for where boxes
-    that the picture contradicts would belong; without any, and with nothing to measure in it, the image is checked but
-    not converted.
+    wanted: which pictures to make, of 'rectified', 'overlay' and 'rectified_overlay', 'placement' for where boxes that
+    the picture contradicts would belong, and 'patches' for what the buttons look like; without any, and with nothing to
+    measure in it, the image is checked but not converted.
     track: of the frames before, where `node.track` is on; the new one is returned. target: label of the button that is
     to be pressed, '' for none. found: what our own detector found in the frame before (`Answer.found`); it looks where
     the frame has no detections.
@@ -146,6 +148,9 @@ def answer_frame(
     )
     if "placement" in wanted and given.image is not None and fit.status == "contradicted":
         answer = replace(answer, placement=placement(given.image, given.detections, config.network))
+    if "patches" in wanted and given.image is not None and fit.ok:
+        observed = [button for button in answer.buttons if button.detection >= 0]
+        answer = replace(answer, patches=patches_of(given.image, given.camera, fit, observed))
     answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track

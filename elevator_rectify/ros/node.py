@@ -23,9 +23,11 @@ from elevator_rectify.core.reading.target import Choice
 from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame, chosen
 from elevator_rectify.ros.camera_check import CameraCheck
+from elevator_rectify.ros.confirming import ConfirmPress
 from elevator_rectify.ros.convert import camera_from_message, class_labels, stamp_ns
-from elevator_rectify.ros.finding import FindButton, action
+from elevator_rectify.ros.finding import FindButton
 from elevator_rectify.ros.frames import Frames, panel_frame
+from elevator_rectify.ros.goals import action
 from elevator_rectify.ros.hints import Hints, Silence
 from elevator_rectify.ros.messages import installed, make_ros, ros_type
 from elevator_rectify.ros.output import (
@@ -80,8 +82,9 @@ class ElevatorRectify(Node):
         self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
         self._tf = self._tf_publisher() if self.node_config.publish_tf else None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        kind = action("FindButton")
-        self._finding = FindButton(self, kind, Frames(self), self._steady) if kind else None
+        find, confirm = action("FindButton"), action("ConfirmPress")
+        self._finding = FindButton(self, find, Frames(self), self._steady) if find else None
+        self._confirming = ConfirmPress(self, confirm, self._steady) if confirm else None
         self._subscribe_target()
         self._begin()
 
@@ -222,7 +225,9 @@ class ElevatorRectify(Node):
         jumps, track = self._track
         if jumps != self.pairing.jumps:
             jumps, track = self.pairing.jumps, None
-        asked = self._finding is not None and self._finding.wanted
+        asked = any(goals is not None and goals.wanted for goals in (self._finding, self._confirming))
+        if asked and self._confirming is not None:
+            wanted.append("patches")
         if asked or any(self._listened(topic) for topic in ("buttons", "markers")):
             wanted.append("labels")
         if self.node_config.measure and self._hints.placements.wanted:
@@ -237,8 +242,16 @@ class ElevatorRectify(Node):
         if answer.fit.status == "contradicted" and self._hints.advice:
             answer = replace(answer, fit=replace(answer.fit, reason=f"{answer.fit.reason}; {self._hints.advice}"))
         self._publish(answer)
-        if asked and self._finding is not None:
-            self._finding.look(answer, partial(self._choose, answer, frame))
+        if asked:
+            self._answer_goals(answer, frame)
+
+    def _answer_goals(self, answer: Answer, frame: Frame) -> None:
+        """Let a frame answer what waits for it; what it finds is remembered for a press."""
+        if self._confirming is not None:
+            self._confirming.look(answer)
+        found = self._finding.look(answer, partial(self._choose, answer, frame)) if self._finding is not None else []
+        if self._confirming is not None:
+            self._confirming.remember(found, answer)
 
     def _check_camera(self, answer: Answer, frame: Frame) -> None:
         """Let an accepted frame say what it knows of the calibration."""
@@ -295,8 +308,9 @@ class ElevatorRectify(Node):
     def close(self) -> None:
         """Stop the worker, say what was refused, leave the graph."""
         self._end_worker()
-        if self._finding is not None:
-            self._finding.close(self.executor)
+        for goals in (self._finding, self._confirming):
+            if goals is not None:
+                goals.close(self.executor)
         if self.context.ok():
             verdicts, dropped = dict(self.statistics.verdicts), dict(self.pairing.dropped)
             self.get_logger().info(f"answered or refused: {verdicts}, dropped: {dropped}")

@@ -60,6 +60,11 @@ class Verdict:
     chosen: int = -1
     agreed: int = 0
 
+    @property
+    def succeeds(self) -> bool:
+        """Tell whether the button was found."""
+        return self.chosen >= 0
+
 
 def verdict(looks: Sequence[Look], request: Request) -> Verdict | None:
     """Return the answer that the last looks, `request.of` at most, give, or None where more are needed.

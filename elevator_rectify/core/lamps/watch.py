@@ -1,0 +1,191 @@
+"""Watch a button while it is pressed: frames before are the reference, frames after tell whether its lamp went on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from elevator_rectify.core.lamps.change import features, lamp_log_odds
+from elevator_rectify.core.lamps.patches import Patches
+from elevator_rectify.core.types import Array, IntArray
+
+# So many frames before the press are kept, and so many after it judged: the last ones that show the button.
+REFERENCES, JUDGED = 3, 5
+# Of these so many must be sure that the lamp went on, by log odds, and their mean too.
+_AGREEING, _LIT = 3, 3.0
+# It surely did not go on below this mean.
+_NOT_LIT = -2.0
+# So many frames in a row without the panel: it was left, or a door opened.
+_LEFT = 5
+# Buttons of two frames are the same within so many pitches; so large a share of the panel must be the same.
+_SAME_PITCH, _SAME_SHARE = 0.3, 0.6
+# Odds are those of pictures that were painted over: reality is trusted with no more.
+_LARGEST = 7.0
+# What is said of a button that was not detected, while its panel is seen.
+HIDDEN, ANOTHER = "hidden", "another panel is seen"
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one frame says of the button: the log odds that its lamp went on, or why nothing can be said; panel: whether
+    its panel is seen."""
+
+    log_odds: float = float("nan")
+    problem: str = ""
+    panel: bool = True
+
+    @property
+    def seen(self) -> bool:
+        """Tell whether it says anything."""
+        return bool(np.isfinite(self.log_odds))
+
+    @property
+    def probability(self) -> float:
+        """Return that of the lamp having gone on, NaN where nothing can be said."""
+        return _probability(self.log_odds)
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A button that is watched: how its panel looked before, and what the frames since then say, the last ones."""
+
+    label: str
+    references: tuple[Patches, ...] = ()
+    sights: tuple[Sight, ...] = ()
+    frames: int = 0
+
+    @property
+    def ready(self) -> bool:
+        """Tell whether it is known what the button looks like before it is pressed."""
+        return len(self.references) >= REFERENCES
+
+    @property
+    def seen(self) -> int:
+        """Return the number of frames since then that show the button."""
+        return sum(sight.seen for sight in self.sights)
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """The answer: status, its probability where it was seen, and the reason in words."""
+
+    status: str
+    reason: str = ""
+    probability: float = 0.0
+
+    @property
+    def succeeds(self) -> bool:
+        """Tell whether the press is confirmed."""
+        return self.status == "confirmed"
+
+
+def watched(watch: Watch, now: Patches | None, problem: str = "") -> Watch:
+    """Return the watch after one more frame; now: its observed buttons, None where there is no panel, with the reason.
+
+    The first frames that show the button are the reference, where there is none yet.
+    """
+    watch = replace(watch, frames=watch.frames + 1)
+    if not watch.ready:
+        known = now is not None and watch.label in now.labels
+        return replace(watch, references=(*watch.references, now)) if known and now is not None else watch
+    sight = Sight(problem=problem or "no panel", panel=False) if now is None else _sight(watch, now)
+    return replace(watch, sights=(*watch.sights, sight)[-100:])
+
+
+def _sight(watch: Watch, now: Patches) -> Sight:
+    """Compare the frame with every frame before the press; the least of what they say counts."""
+    found = [changed(before, now, watch.label) for before in watch.references]
+    known = [lamp_log_odds(x) for x in found if not isinstance(x, str)]
+    if not known:
+        problem = next(x for x in found if isinstance(x, str))
+        return Sight(problem=problem, panel=problem != ANOTHER)
+    return Sight(float(np.clip(min(known), -_LARGEST, _LARGEST)))
+
+
+def changed(before: Patches, now: Patches, label: str) -> Array | str:
+    """Return the features of what changed of the button of a label, or why nothing can be said."""
+    pairs = same_buttons(before, now)
+    of_it = [k for k, (i, _) in enumerate(pairs) if before.labels[i] == label]
+    if len(of_it) != 1:
+        return f"{label} is {HIDDEN}" if len(pairs) else ANOTHER
+    found = features(_chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1]), of_it[0])
+    return "too little is seen around it" if found is None else found
+
+
+def _chosen(patches: Patches, which: IntArray) -> Patches:
+    labels = tuple(patches.labels[k] for k in which)
+    return Patches(patches.colour[which], patches.places[which], labels, patches.side_px[which], patches.whole[which])
+
+
+def same_buttons(before: Patches, now: Patches) -> IntArray:
+    """Return pairs (P, 2) of indices of the same buttons; none where it is not surely the same panel.
+
+    The lattice may have another origin in another frame: the shift is the one that makes most places and labels agree.
+    """
+    none = np.zeros((0, 2), dtype=np.int64)
+    if not len(before.places) or not len(now.places):
+        return none
+    shifts = [np.zeros(2)]
+    for i, label in enumerate(before.labels):
+        same = [j for j, other in enumerate(now.labels) if label and other == label]
+        shifts += [now.places[j] - before.places[i] for j in same]
+    pairs = max((_pairs(before, now, shift) for shift in shifts), key=lambda p: _agreement(before, now, p))
+    enough = len(pairs) >= _SAME_SHARE * min(len(before.places), len(now.places))
+    return pairs if enough and _agreement(before, now, pairs) > 0 else none
+
+
+def _pairs(before: Patches, now: Patches, shift: Array) -> IntArray:
+    apart = np.linalg.norm(before.places[:, None] + shift - now.places[None], axis=-1)
+    nearest = apart.argmin(axis=1)
+    mutual = apart.argmin(axis=0)[nearest] == np.arange(len(nearest))
+    kept = np.flatnonzero(mutual & (apart[np.arange(len(nearest)), nearest] < _SAME_PITCH))
+    return np.column_stack([kept, nearest[kept]])
+
+
+def _agreement(before: Patches, now: Patches, pairs: IntArray) -> int:
+    """Count places that agree, and labels, for and against."""
+    labels = [(before.labels[i], now.labels[j]) for i, j in pairs]
+    return len(pairs) + sum(2 if a == b else -2 for a, b in labels if a and b)
+
+
+def confirmed(watch: Watch) -> Pressed | None:
+    """Return the answer that can be given at once, None where more frames are needed."""
+    if len(watch.sights) >= _LEFT and not any(s.seen or s.panel for s in watch.sights[-_LEFT:]):
+        return Pressed("panel_left", f"{_LEFT} frames in a row do not show the panel: {watch.sights[-1].problem}")
+    last = _last(watch)
+    if len(last) >= _AGREEING and last[-1] > 0 and sum(odds > _LIT for odds in last) >= _AGREEING:
+        mean = float(np.mean(last))
+        if mean > _LIT:
+            return Pressed("confirmed", f"the lamp of {watch.label} went on", _probability(mean))
+    return None
+
+
+def ended(watch: Watch) -> Pressed:
+    """Return the answer when the time is over."""
+    if not watch.frames:
+        return Pressed("no_frames", "no frame was answered in time: no image, or no detections")
+    if not watch.ready:
+        return Pressed("unseen", f"{watch.label} was not seen in {REFERENCES} frames before the press")
+    last = _last(watch)
+    if len(last) < _AGREEING:
+        why = watch.sights[-1].problem if watch.sights else ""
+        return Pressed("unseen", f"{len(last)} frames show {watch.label} since{': ' + why if why else ''}")
+    mean = float(np.mean(last))
+    if mean < _NOT_LIT:
+        return Pressed("not_lit", f"nothing of {watch.label} changed: not lit, or lit before", 1.0 - _probability(mean))
+    return Pressed("unseen", f"what is seen of {watch.label} tells neither", _probability(mean))
+
+
+def _last(watch: Watch) -> list[float]:
+    return [s.log_odds for s in watch.sights if s.seen][-JUDGED:]
+
+
+def _probability(log_odds: float) -> float:
+    return float(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def reference_of(seen: Sequence[Patches]) -> tuple[Patches, ...]:
+    """Return the frames that serve as the reference: the last ones, repeated where there are fewer than are needed."""
+    return tuple(seen[-REFERENCES:]) + tuple(seen[-1:]) * max(0, REFERENCES - len(seen)) if seen else ()
