@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elevator_rectify.train.labelled import LabelledPicture
+from elevator_rectify.train.second_look import NOTHING_SEEN, SecondLook
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
@@ -25,33 +26,45 @@ class Crop:
     learnt: NDArray[np.bool_]
 
 
-def random_crop(picture: LabelledPicture, size_px: int, rng: np.random.Generator) -> Crop:
-    """Cut a random square view out of the picture, around one of its boxes more often than not."""
-    H = _random_homography(picture, size_px, rng)
+def random_crop(
+    picture: LabelledPicture,
+    size_px: int,
+    rng: np.random.Generator,
+    look: SecondLook = NOTHING_SEEN,
+    at_no_button: bool = False,
+) -> Crop:
+    """Cut a random square view out of the picture, around one of its boxes more often than not.
+
+    look: what is no button, around one of which the view is where `at_no_button`, and what is not to be learnt from.
+    """
+    around = look.no_button_px if at_no_button else picture.boxes_px.astype(float)
+    H = _random_homography(picture, around, size_px, rng)
     border = cv2.BORDER_REPLICATE if rng.random() < 0.3 else cv2.BORDER_CONSTANT
     fill = tuple(int(v) for v in rng.integers(0, 255, 3))
     image = cv2.warpPerspective(
         picture.image, H, (size_px, size_px), flags=cv2.INTER_LINEAR, borderMode=border, borderValue=fill
     )
-    boxes = warped_boxes(picture.boxes_px.astype(float), H)
+    boxes = warped_boxes(np.concatenate([picture.boxes_px.astype(float), look.unsure_px]), H)
     clipped = np.clip(boxes, 0, size_px)
     area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
     seen = np.prod(clipped[:, 2:] - clipped[:, :2], axis=1) / np.maximum(area, 1e-6)
     keep = seen > 0.05
     learnt = (seen > 0.65) & ((clipped[:, 2:] - clipped[:, :2]).min(axis=1) >= 5)
-    return Crop(random_light(image, rng), clipped[keep], picture.is_button[keep], learnt[keep])
+    learnt[len(picture.boxes_px) :] = False
+    is_button = np.concatenate([picture.is_button, np.ones(len(look.unsure_px), dtype=bool)])
+    return Crop(random_light(image, rng), clipped[keep], is_button[keep], learnt[keep])
 
 
-def _random_homography(picture: LabelledPicture, size_px: int, rng: np.random.Generator) -> Array:
-    """Return the (3, 3) map from the picture to the crop."""
+def _random_homography(picture: LabelledPicture, around_px: Array, size_px: int, rng: np.random.Generator) -> Array:
+    """Return the (3, 3) map from the picture to the crop; around_px: boxes (N, 4) of which one is near its middle."""
     height, width = picture.image.shape[:2]
     scale, aspect = np.exp(rng.uniform(np.log(0.65), np.log(2.7))), np.exp(rng.normal(0, 0.2) / 2)
     roll = np.radians(rng.normal(0, 4 if rng.random() < 0.8 else 12))
     flip = -1.0 if rng.random() < 0.5 else 1.0
     cosine, sine = np.cos(roll), np.sin(roll)
     linear = scale * np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([flip * aspect, 1 / aspect])
-    if rng.random() < 0.8 and len(picture.boxes_px):
-        box = picture.boxes_px[rng.integers(len(picture.boxes_px))]
+    if rng.random() < 0.8 and len(around_px):
+        box = around_px[rng.integers(len(around_px))]
         centre = (box[:2] + box[2:]) / 2 + rng.uniform(-0.45, 0.45, 2) * size_px / scale
     else:
         centre = rng.uniform(0, 1, 2) * np.array([width, height])

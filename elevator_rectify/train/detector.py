@@ -3,23 +3,51 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 import torch
 
-from elevator_rectify.train.augment import random_crop
+from elevator_rectify.train.augment import Crop, random_crop
 from elevator_rectify.train.detector_loss import box_loss, heat_loss, predicted_boxes, targets
 from elevator_rectify.train.detector_net import DetectorNet
 from elevator_rectify.train.labelled import LabelledPicture, read_labelled
 from elevator_rectify.train.loop import Batch, add_training, train
+from elevator_rectify.train.second_look import NOTHING_SEEN, SecondLook, read_second_look
 
 _BOX_WEIGHT = 2.0
+# The share of the crops that show what was taken for a button and is none.
+_AT_NO_BUTTON = 0.15
 
 
-def batch_of(pictures: list[LabelledPicture], size: int, number: int, rng: np.random.Generator) -> Batch:
+@dataclass(frozen=True)
+class Source:
+    """The pictures that crops are cut from, and what a second look at them added."""
+
+    pictures: list[LabelledPicture]
+    looks: dict[str, SecondLook]
+
+    @cached_property
+    def with_no_button(self) -> list[LabelledPicture]:
+        """Return the pictures that show something that was taken for a button and is none."""
+        return [p for p in self.pictures if len(self.look(p).no_button_px)]
+
+    def look(self, picture: LabelledPicture) -> SecondLook:
+        """Return what a second look at the picture added."""
+        return self.looks.get(picture.name, NOTHING_SEEN)
+
+    def crop(self, size: int, rng: np.random.Generator) -> Crop:
+        """Cut a random crop out of a random picture."""
+        at_no_button = bool(self.with_no_button) and rng.random() < _AT_NO_BUTTON
+        pictures = self.with_no_button if at_no_button else self.pictures
+        picture = pictures[rng.integers(len(pictures))]
+        return random_crop(picture, size, rng, self.look(picture), at_no_button)
+
+
+def batch_of(source: Source, size: int, number: int, rng: np.random.Generator) -> Batch:
     """Return images (B, 3, S, S) in RGB / 255 and the targets of `number` random crops."""
-    crops = [random_crop(pictures[rng.integers(len(pictures))], size, rng) for _ in range(number)]
+    crops = [source.crop(size, rng) for _ in range(number)]
     images = np.stack([np.ascontiguousarray(c.image[..., ::-1].transpose(2, 0, 1)) for c in crops])
     rest = [np.stack(part) for part in zip(*(targets(c) for c in crops), strict=True)]
     return torch.from_numpy(images).float() / 255, *(torch.from_numpy(part) for part in rest)
@@ -33,7 +61,8 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
-    net, pictures = DetectorNet(), read_labelled(args.data, None if args.all else False)
+    net = DetectorNet()
+    source = Source(read_labelled(args.data, None if args.all else False), read_second_look())
 
     def loss_of(batch: Batch) -> torch.Tensor:
         images, heat, weight, sides, side_weight = batch
@@ -41,7 +70,7 @@ def main() -> None:
         of_heat = heat_loss(output[:, :2], heat, weight)
         return of_heat + _BOX_WEIGHT * box_loss(predicted_boxes(output), sides, side_weight)
 
-    train(net, partial(batch_of, pictures, args.size, args.batch), loss_of, args, decay=1e-3)
+    train(net, partial(batch_of, source, args.size, args.batch), loss_of, args, decay=1e-3)
 
 
 if __name__ == "__main__":
