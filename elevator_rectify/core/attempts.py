@@ -13,7 +13,7 @@ from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
-from elevator_rectify.core.lattice.joint import JointFit, fit_joint, track_joint, turned
+from elevator_rectify.core.lattice.joint import THOROUGH, USUAL, JointFit, fit_joint, track_joint, turned
 from elevator_rectify.core.picture.fit import with_picture
 from elevator_rectify.core.picture.straight_edges import Photo
 from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, contradicted, second_opinion
@@ -83,13 +83,14 @@ def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, i
 def attempts(
     usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None = None
 ) -> Iterator[Attempt]:
-    """Search, each time among more hypotheses."""
+    """Search, each time among more hypotheses, the last time thoroughly."""
     R_upright_camera = _upright(config)
     rays = usable.rays @ R_upright_camera[:2, :2].T
     area = camera.width * camera.height / camera.focal_px**2
     photo = None if image is None else Photo(image, camera)
     for hypotheses, enough in _widths(config.hypotheses, len(rays)):
-        fit = fit_joint(rays, usable.log_sizes, sigma, area, replace(config, hypotheses=hypotheses))
+        effort = USUAL if enough > 0.0 else THOROUGH
+        fit = fit_joint(rays, usable.log_sizes, sigma, area, replace(config, hypotheses=hypotheses), effort)
         if fit is not None:
             other = turned(fit.other, R_upright_camera.T) if fit.other else None
             fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)

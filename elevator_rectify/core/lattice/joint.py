@@ -39,10 +39,29 @@ _FIXED_STEPS = 4
 _LEADERS = 3
 _FEWEST = 5
 _HOPELESS_NATS = 25.0
-# Where fewer of so few detections are explained by a lattice, a column with controls may explain them.
-_FEW_POINTS, _EXPLAINED = 16, 0.95
 # A tracked fit must still explain this share of the detections that the last one explained.
 _TRACKED_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How thoroughly layouts are sought.
+
+    Where fewer than `explained` of `few` detections or less lie on a lattice, a column with controls may explain them.
+    aspects: the points are stretched by these, too: greedy steps take other paths there, to other layouts.
+    """
+
+    few: int = 16
+    explained: float = 0.95
+    aspects: tuple[float, ...] = ()
+
+
+USUAL = Effort()
+# For panels on which the usual effort leads to nothing sure: on a fifth of 156 real ones this finds likelier layouts.
+THOROUGH = Effort(few=60, explained=1.01, aspects=(0.75, 1.33))
+# Layouts that are carried over from stretched points, the share of the hypotheses that they are sought among, and how
+# coarsely they are refined first.
+_CARRIED, _CARRIED_SHARE, _COARSE = 2, 0.25, (4.0, 2.0)
 
 
 @dataclass(frozen=True)
@@ -54,16 +73,17 @@ class JointFit:
     margin: float
 
 
-def fit_joint(rays: Array, log_sizes: Array, sigma: float, area: float, config: Config) -> JointFit | None:
+def fit_joint(
+    rays: Array, log_sizes: Array, sigma: float, area: float, config: Config, effort: Effort = USUAL
+) -> JointFit | None:
     """Fit points (N, 2) in the normalised plane, with standard deviation sigma, in an image of this area.
 
     log_sizes: (N,) ln of the root of the boxes' area, in any unit, NaN where unknown. Returns None where no hypothesis
     has two rows and two columns.
     """
-    layouts = _regular_layouts(rays, sigma, area, config)
-    if len(rays) <= _FEW_POINTS and max((_explained(f) for f in layouts), default=0.0) < _EXPLAINED:
-        fits = (_extended(f, rays, sigma, area, config) for f in column_layouts(rays, sigma, area, config))
-        layouts += [f for f in fits if f is not None]
+    layouts = _layouts(rays, sigma, area, config, effort)
+    for aspect in effort.aspects:
+        layouts += _carried_layouts(aspect, rays, sigma, area, config, effort)
     if not layouts:
         return None
     layouts = [refine_layout(f, rays, sigma, area, config.joint, log_sizes=log_sizes) for f in layouts]
@@ -71,6 +91,36 @@ def fit_joint(rays: Array, log_sizes: Array, sigma: float, area: float, config: 
     best = layouts[0]
     other = next((f for f in layouts[1:] if pose_angle(f, best) > OTHER_POSE_RAD), None)
     return JointFit(best, other, best.support - other.support if other else np.inf)
+
+
+def _layouts(rays: Array, sigma: float, area: float, config: Config, effort: Effort) -> list[LayoutFit]:
+    """Return the layouts that lattices and, where they explain too little, columns with controls grow into."""
+    layouts = _regular_layouts(rays, sigma, area, config)
+    if len(rays) <= effort.few and max((_explained(f) for f in layouts), default=0.0) < effort.explained:
+        fits = (_extended(f, rays, sigma, area, config) for f in column_layouts(rays, sigma, area, config))
+        layouts += [f for f in fits if f is not None]
+    return layouts
+
+
+def _carried_layouts(
+    aspect: float, rays: Array, sigma: float, area: float, config: Config, effort: Effort
+) -> list[LayoutFit]:
+    """Return the likeliest layouts of points that are stretched across, fitted to the points as they are."""
+    few = config.hypotheses
+    few = replace(
+        few, seeds=max(1, round(_CARRIED_SHARE * few.seeds)), refined=max(2, round(_CARRIED_SHARE * few.refined))
+    )
+    found = _layouts(rays / [1.0, aspect], sigma, area / aspect, replace(config, hypotheses=few), effort)
+    carried = []
+    for fit in sorted(found, key=lambda f: -f.log_likelihood)[:_CARRIED]:
+        maps = np.diag([1.0, aspect, 1.0]) @ fit.pose.maps
+        direct = poses_from_maps(maps, fit.pose.centre, fit.pose.brick)
+        for pose in (direct, mirrored(direct)):
+            moved = evaluate(pose, fit.layout, rays, _COARSE[0] * sigma, area, config.joint)
+            for times in _COARSE:
+                moved = refine_layout(moved, rays, times * sigma, area, config.joint)
+            carried.append(trimmed(moved, rays, sigma, area, config.joint))
+    return carried
 
 
 def _explained(fit: LayoutFit) -> float:
