@@ -16,7 +16,7 @@ from elevator_rectify.train.labelled import LabelledPicture, read_labelled
 from elevator_rectify.train.loop import Batch, add_training, train
 from elevator_rectify.train.second_look import NOTHING_SEEN, SecondLook, read_second_look
 
-_BOX_WEIGHT = 2.0
+_BOX_WEIGHT, DECAY = 2.0, 1e-3
 # The share of the crops that show what was taken for a button and is none.
 _AT_NO_BUTTON = 0.15
 
@@ -70,7 +70,7 @@ def main() -> None:
         of_heat = heat_loss(output[:, :2], heat, weight)
         return of_heat + _BOX_WEIGHT * box_loss(predicted_boxes(output), sides, side_weight)
 
-    train(net, partial(batch_of, source, args.size, args.batch), loss_of, args, decay=1e-3)
+    train(net, partial(batch_of, source, args.size, args.batch), loss_of, args, decay=DECAY)
 
 
 if __name__ == "__main__":
