@@ -60,7 +60,7 @@ def features(before: Patches, after: Patches, k: int) -> Array | None:
     spread = 1.4826 * np.median(np.abs(raw[others] - middle), axis=0) + _NOISE
     near = others[np.argsort(np.linalg.norm(before.places[others] - before.places[k], axis=1))[:_NEAREST]]
     alike = [_correlation(was[k].mean(axis=-1)[zone], now[k].mean(axis=-1)[zone]) for zone in (_AROUND, ~_AROUND)]
-    return np.concatenate(
+    found = np.concatenate(
         [
             np.log1p(np.maximum(raw[k], 0.0)),
             np.arcsinh((raw[k] - middle) / spread),
@@ -69,6 +69,7 @@ def features(before: Patches, after: Patches, k: int) -> Array | None:
             [np.log(max(1.0, min(before.side_px[k], after.side_px[k])))],
         ]
     )
+    return np.asarray(found)
 
 
 def _beyond(now: Array, was: Array) -> Array:
