@@ -26,6 +26,9 @@ _QUICK = 0.125
 _MANY = 30
 # A fit that is accepted, but no surer than this, is worth the last search too.
 _SURE = 0.9
+# Detections of which no search so far made more than this confidence are no panel: so are two thirds of those without
+# one, and none of the real panels that the thorough search found.
+_HOPELESS = 0.005
 # So many more unexplained detections than in the frame before, or a new one that is so near to the next line, in
 # pitches, may be of a row that came into view; it is not new where the frame before had one so near.
 _NEWCOMERS, _ON_LINE, _SAME_PLACE = 2, 0.2, 0.3
@@ -83,19 +86,20 @@ def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, i
 def attempts(
     usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None = None
 ) -> Iterator[Attempt]:
-    """Search, each time among more hypotheses, the last time thoroughly."""
+    """Search, each time among more hypotheses, the last time thoroughly, where there is any hope of a panel."""
     R_upright_camera = _upright(config)
     rays = usable.rays @ R_upright_camera[:2, :2].T
     area = camera.width * camera.height / camera.focal_px**2
     photo = None if image is None else Photo(image, camera)
+    hope = 0.0
     for hypotheses, enough in _widths(config.hypotheses, len(rays)):
-        effort = USUAL if enough > 0.0 else THOROUGH
+        effort = THOROUGH if enough == 0.0 and hope > _HOPELESS else USUAL
         fit = fit_joint(rays, usable.log_sizes, sigma, area, replace(config, hypotheses=hypotheses), effort)
         if fit is not None:
             other = turned(fit.other, R_upright_camera.T) if fit.other else None
             fit = JointFit(turned(fit.best, R_upright_camera.T), other, fit.margin)
         boxes = joint_fit(fit, usable, camera, sigma, config)
-        result = boxes
+        result, hope = boxes, max(hope, boxes.confidence)
         if photo is not None and fit is not None:
             result = with_picture(fit, boxes, usable, sigma, photo, config)
         yield Attempt(fit, result, enough, boxes)
