@@ -85,11 +85,14 @@ def test_a_finger_on_the_button_is_no_lamp(seed: int) -> None:
     assert (ended(state).status, "hidden" in ended(state).reason) == ("unseen", True)
 
 
-def test_a_panel_that_is_left_is_told_at_once_and_a_hidden_button_is_not_taken_for_it() -> None:
-    answer = confirmed(watch(*5 * [None]))
-    assert answer is not None and answer.status == "panel_left"
-    assert confirmed(watch(*4 * [None])) is None
-    assert confirmed(watch(*5 * [seen(picture(), hidden="7")])) is None
+def test_a_panel_that_is_left_is_told_in_the_end_and_what_hides_it_is_waited_for() -> None:
+    state = watch(*5 * [None])
+    assert confirmed(state) is None and ended(state).status == "panel_left"
+    assert ended(watch(*4 * [None])).status == "unseen"
+    assert ended(watch(*5 * [seen(picture(), hidden="7")])).status == "unseen"
+    lit = seen(picture(frozenset({NUMBER})))
+    answer = confirmed(watch(*9 * [None], lit, lit, lit))
+    assert answer is not None and answer.succeeds
 
 
 def test_without_frames_or_without_the_button_before_the_reason_says_so() -> None:

@@ -17,7 +17,7 @@ REFERENCES, JUDGED = 3, 5
 _AGREEING, _LIT = 3, 3.0
 # It surely did not go on below this mean.
 _NOT_LIT = -2.0
-# So many frames in a row without the panel: it was left, or a door opened.
+# So many frames without the panel in the end: it was left, or a door opened.
 _LEFT = 5
 # Buttons of two frames are the same within so many pitches; so large a share of the panel must be the same.
 _SAME_PITCH, _SAME_SHARE = 0.3, 0.6
@@ -152,8 +152,6 @@ def _agreement(before: Patches, now: Patches, pairs: IntArray) -> int:
 
 def confirmed(watch: Watch) -> Pressed | None:
     """Return the answer that can be given at once, None where more frames are needed."""
-    if len(watch.sights) >= _LEFT and not any(s.seen or s.panel for s in watch.sights[-_LEFT:]):
-        return Pressed("panel_left", f"{_LEFT} frames in a row do not show the panel: {watch.sights[-1].problem}")
     last = _last(watch)
     if len(last) >= _AGREEING and last[-1] > 0 and sum(odds > _LIT for odds in last) >= _AGREEING:
         mean = float(np.mean(last))
@@ -168,6 +166,9 @@ def ended(watch: Watch) -> Pressed:
         return Pressed("no_frames", "no frame was answered in time: no image, or no detections")
     if not watch.ready:
         return Pressed("unseen", f"{watch.label} was not seen in {REFERENCES} frames before the press")
+    # Only now: an arm before the camera hides the panel for a while, too.
+    if len(watch.sights) >= _LEFT and not any(sight.panel for sight in watch.sights[-_LEFT:]):
+        return Pressed("panel_left", f"the last {_LEFT} frames do not show the panel: {watch.sights[-1].problem}")
     last = _last(watch)
     if len(last) < _AGREEING:
         why = watch.sights[-1].problem if watch.sights else ""
