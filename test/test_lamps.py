@@ -39,7 +39,7 @@ def picture(lit: frozenset[int] = frozenset(), taking: Taking = USUAL) -> Image:
 def seen(image: Image, hidden: str = "") -> Patches:
     fit = fit_panel([d for d in SCENE.detections if d.label != hidden], SCENE.camera, image=image)
     assert fit.ok
-    return patches_of(image, SCENE.camera, fit, [b for b in fit.buttons if b.detection >= 0])
+    return patches_of(image, SCENE.camera, fit, fit.buttons)
 
 
 def watch(*after: Patches | None) -> Watch:

@@ -69,6 +69,16 @@ def stretched_camera(aspect: float, side: int) -> Camera:
     return Camera.from_matrix([[fx, 0, middle], [0, fy, middle], [0, 0, 1]], side, side)
 
 
+def first_accepted(picture: LabelledPicture, detections: list[Detection]) -> tuple[GridFit, Camera] | None:
+    """Return the fit by the first of the usual aspects by which it is accepted, and that camera; None where none is."""
+    for aspect in ASPECTS:
+        camera = stretched_camera(aspect, picture.image.shape[1])
+        fit = fit_panel(detections, camera, CONFIG, image=picture.image)
+        if fit.ok:
+            return fit, camera
+    return None
+
+
 def judgeable(picture: LabelledPicture) -> bool:
     """Tell whether there are six buttons in at least two rows and two columns, by the boxes' overlap."""
     boxes = picture.boxes_px[picture.is_button]

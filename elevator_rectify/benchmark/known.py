@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from elevator_rectify.benchmark.end_to_end import ASPECTS, CONFIG, judgeable, stretched_camera, true_detections
+from elevator_rectify.benchmark.end_to_end import CONFIG, first_accepted, judgeable, true_detections
 from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.turned_reading import turned
@@ -55,20 +55,17 @@ def run_panel(task: tuple[str, str, tuple[str, ...], int]) -> list[Look]:
     folder, name, others, seed = task
     (picture,) = read_labelled(Path(folder), names=(name,))
     truth, rng = true_detections(picture), np.random.default_rng([seed, int(name)])
-    for aspect in ASPECTS:
-        camera = stretched_camera(aspect, picture.image.shape[1])
-        fit = fit_panel(truth, camera, CONFIG, image=picture.image)
-        if fit.ok:
-            known, at_place = _taught(fit, camera, name)
-            looks = [
-                _look(kind, _spoilt(_view(picture.image, truth, camera, fit, kind, rng), rng), known, at_place, read)
-                for kind in VIEWS
-                for read in (True, False)
-            ]
-            return looks + [
-                _sought(Path(folder), other, camera, known, read) for other in others for read in (True, False)
-            ]
-    return []
+    accepted = first_accepted(picture, truth)
+    if accepted is None:
+        return []
+    fit, camera = accepted
+    known, at_place = _taught(fit, camera, name)
+    looks = [
+        _look(kind, _spoilt(_view(picture.image, truth, camera, fit, kind, rng), rng), known, at_place, read)
+        for kind in VIEWS
+        for read in (True, False)
+    ]
+    return looks + [_sought(Path(folder), other, camera, known, read) for other in others for read in (True, False)]
 
 
 def _taught(fit: GridFit, camera: Camera, name: str) -> tuple[KnownPanel, IntArray]:

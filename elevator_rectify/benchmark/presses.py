@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from elevator_rectify.benchmark.detector import boxes_of
-from elevator_rectify.benchmark.end_to_end import ASPECTS, CONFIG, stretched_camera, true_detections
+from elevator_rectify.benchmark.end_to_end import CONFIG, first_accepted, true_detections
 from elevator_rectify.core import Camera, Detection, fit_panel
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.lamps.watch import REFERENCES
@@ -56,13 +56,12 @@ def presses(folder: str, name: str, number: int, frames: int, seed: int = 0) -> 
     """Yield `number` presses of every kind on one picture, with so many frames after each; none where it is refused."""
     (picture,) = read_labelled(Path(folder), names=(name,))
     truth = true_detections(picture)
-    cameras = (stretched_camera(aspect, picture.image.shape[1]) for aspect in ASPECTS)
-    camera = next((c for c in cameras if fit_panel(truth, c, CONFIG, image=picture.image).ok), None)
+    accepted = first_accepted(picture, truth)
     counts = Counter(canonical(d.label) for d in truth if d.label)
     single = [k for k, d in enumerate(truth) if d.label and counts[canonical(d.label)] == 1]
-    if camera is None or not single:
+    if accepted is None or not single:
         return
-    rng, panel = np.random.default_rng([int(name), seed]), _Panel(picture.image, camera, truth)
+    rng, panel = np.random.default_rng([int(name), seed]), _Panel(picture.image, accepted[1], truth)
     for _ in range(number):
         chosen = int(rng.choice(single))
         before = [_frame(panel, panel.image, rng) for _ in range(REFERENCES)]
@@ -94,7 +93,7 @@ def _frame(panel: _Panel, scene: Image, rng: np.random.Generator, hidden: int = 
     image, H = taken_again(scene, rng)
     found = [d for k, d in enumerate(_moved(panel.truth, H, rng)) if k != hidden]
     fit = fit_panel(found, panel.camera, CONFIG, image=image)
-    return patches_of(image, panel.camera, fit, [b for b in fit.buttons if b.detection >= 0]) if fit.ok else None
+    return patches_of(image, panel.camera, fit, fit.buttons) if fit.ok else None
 
 
 def _moved(truth: list[Detection], H: Array, rng: np.random.Generator) -> list[Detection]:

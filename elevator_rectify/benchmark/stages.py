@@ -17,6 +17,7 @@ from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.types import Array, FitResult, Image
 from elevator_rectify.core.view.draw import caption, draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import rectify_image
+from elevator_rectify.recordings.report import tiled
 
 _CONFIG = Config()
 _LEVEL, _SEED, _NUMBER = "medium", 60, 4
@@ -88,9 +89,7 @@ def patches_of(given: Pictured, fit: GridFit) -> Image:
         cv2.drawMarker(p.copy(), (_PATCH_PX // 2, _PATCH_PX // 2), _COLOURS[1], cv2.MARKER_CROSS, 12) for p in patches
     ]
     tiles.append(cv2.copyMakeBorder(template, 3, 3, 3, 3, cv2.BORDER_CONSTANT, value=_COLOURS[0])[3:-3, 3:-3])
-    tiles += [np.zeros_like(template)] * (-len(tiles) % _PATCH_COLUMNS)
-    rows = [np.hstack(tiles[k : k + _PATCH_COLUMNS]) for k in range(0, len(tiles), _PATCH_COLUMNS)]
-    return np.vstack(rows)
+    return tiled(tiles, _PATCH_COLUMNS)
 
 
 def _patch(image: Image, K: Array, fit: FitResult, point: Array) -> Image:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from elevator_rectify.benchmark.end_to_end import ASPECTS, CONFIG, judgeable, stretched_camera, true_detections
+from elevator_rectify.benchmark.end_to_end import CONFIG, first_accepted, judgeable, true_detections
 from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.core import Camera, Detection, GridFit, fit_panel
@@ -70,13 +70,12 @@ def run_picture(task: tuple[str, str]) -> list[Count]:
     (picture,) = read_labelled(Path(task[0]), names=(task[1],))
     truth = true_detections(picture)
     bare = [replace(d, label="") for d in truth]
-    for aspect in ASPECTS:
-        camera = stretched_camera(aspect, picture.image.shape[1])
-        fit = fit_panel(bare, camera, CONFIG, image=picture.image)
-        if fit.ok:
-            texts = [k for k, d in enumerate(truth) if d.label and (encoded(d.label) or ("",))[0] == "text"]
-            return [_count(turned(picture.image, bare, camera, fit, a), truth, texts, camera) for a in ANGLES_DEG]
-    return []
+    accepted = first_accepted(picture, bare)
+    if accepted is None:
+        return []
+    fit, camera = accepted
+    texts = [k for k, d in enumerate(truth) if d.label and (encoded(d.label) or ("",))[0] == "text"]
+    return [_count(turned(picture.image, bare, camera, fit, a), truth, texts, camera) for a in ANGLES_DEG]
 
 
 def _count(seen: Turned, truth: list[Detection], texts: list[int], camera: Camera) -> Count:

@@ -219,11 +219,7 @@ def _upright(config: Config) -> Array:
 def _widths(config: HypothesesConfig, detections: int) -> list[tuple[HypothesesConfig, float]]:
     """Return the searches, each wider than the one before, and the confidence that makes the next one needless."""
 
-    def scaled(times: float) -> HypothesesConfig:
-        seeds, refined = round(times * config.seeds), round(times * config.refined)
-        return replace(config, seeds=min(1000, max(1, seeds)), refined=min(100, max(2, refined)))
-
     # The more detections, the more true neighbours there are, and the more a hypothesis costs.
     last = config.last_attempt * min(1.0, _MANY / detections)
-    widths = [(scaled(_QUICK), config.quick_confidence), (config, _SURE), (scaled(last), 0.0)]
+    widths = [(config.scaled(_QUICK), config.quick_confidence), (config, _SURE), (config.scaled(last), 0.0)]
     return widths[config.quick_confidence >= 1.0 : 3 if last >= 2.0 else 2]

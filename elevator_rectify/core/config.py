@@ -79,6 +79,11 @@ class HypothesesConfig(Checked):
     max_axis_angle_rad: float = value(0.9, "largest angle of a row from horizontal in the image", low=0.1, high=1.5)
     max_aspect: float = value(3.5, "largest ratio of a cell's sides in the image", low=1.0, high=20.0)
 
+    def scaled(self, times: float) -> HypothesesConfig:
+        """Return a search among so many times as many hypotheses."""
+        seeds, refined = round(times * self.seeds), round(times * self.refined)
+        return replace(self, seeds=min(1000, max(1, seeds)), refined=min(100, max(2, refined)))
+
 
 @dataclass(frozen=True)
 class JointConfig(Checked):

@@ -21,6 +21,7 @@ from elevator_rectify.arguments import add_domain
 from elevator_rectify.core.types import Image
 from elevator_rectify.live.driver import Driver, driven
 from elevator_rectify.live.frames import header
+from elevator_rectify.recordings.report import tiled
 from elevator_rectify.render.overpaint import with_finger
 from elevator_rectify.render.panel import Panel, paper_panels
 from elevator_rectify.render.photograph import photograph
@@ -126,9 +127,7 @@ def strip(pictures: list[Image]) -> Image:
     """Return the pictures in rows, in their order."""
     width = round(_STRIP_HEIGHT_PX * pictures[0].shape[1] / pictures[0].shape[0])
     small = [cv2.resize(p, (width, _STRIP_HEIGHT_PX), interpolation=cv2.INTER_AREA) for p in pictures]
-    small += [np.zeros_like(small[0])] * (-len(small) % _STRIP_COLUMNS)
-    rows = [np.hstack(small[k : k + _STRIP_COLUMNS]) for k in range(0, len(small), _STRIP_COLUMNS)]
-    return np.asarray(np.vstack(rows))
+    return tiled(small, _STRIP_COLUMNS)
 
 
 def main(arguments: list[str] | None = None) -> int:

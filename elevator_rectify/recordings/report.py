@@ -212,8 +212,14 @@ def contact_sheet(outcomes: Sequence[Outcome], pictures: Mapping[int, Pictures],
         shown = pictures.get(row.stamp, Pictures())
         tiles.append(np.vstack([_named(_tile(shown.overlay, ""), row.name), _tile(shown.view, row.verdict)]))
     blank = np.zeros((2 * _TILE[1], _TILE[0], 3), np.uint8)
-    tiles += [blank] * (-len(tiles) % columns)
-    return np.vstack([np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)] or [blank])
+    return tiled(tiles, columns) if tiles else blank
+
+
+def tiled(tiles: Sequence[Image], columns: int) -> Image:
+    """Return tiles of one size row by row, the last row filled up with black."""
+    blank = np.zeros_like(tiles[0])
+    filled = [*tiles, *[blank] * (-len(tiles) % columns)]
+    return np.vstack([np.hstack(filled[k : k + columns]) for k in range(0, len(filled), columns)])
 
 
 def last_viewed(outcomes: Sequence[Outcome], groups: int = 3) -> list[Outcome]:

@@ -149,8 +149,7 @@ def answer_frame(
     if "placement" in wanted and given.image is not None and fit.status == "contradicted":
         answer = replace(answer, placement=placement(given.image, given.detections, config.network))
     if "patches" in wanted and given.image is not None and fit.ok:
-        observed = [button for button in answer.buttons if button.detection >= 0]
-        answer = replace(answer, patches=patches_of(given.image, given.camera, fit, observed))
+        answer = replace(answer, patches=patches_of(given.image, given.camera, fit, answer.buttons))
     answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track

@@ -32,7 +32,8 @@ class Patches:
 
 
 def patches_of(image: Image, camera: Camera, fit: FitResult, buttons: Sequence[Button]) -> Patches:
-    """Return the patches of the buttons of an accepted fit in a picture (height, width[, 3]) uint8."""
+    """Return the patches of those buttons of an accepted fit that were detected, in a picture (height, width[, 3])."""
+    buttons = [button for button in buttons if button.detection >= 0]
     colour = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     corners = [camera.project(b.point + (_SQUARE * b.size) @ fit.R_camera_panel[:, :2].T) for b in buttons]
     corners_px = np.array(corners).reshape(-1, 4, 2)

@@ -23,8 +23,8 @@ _LEFT = 5
 _SAME_PITCH, _SAME_SHARE = 0.3, 0.6
 # Odds are those of pictures that were painted over: reality is trusted with no more.
 _LARGEST = 7.0
-# What is said of a button that was not detected, while its panel is seen.
-HIDDEN, ANOTHER = "hidden", "another panel is seen"
+# What is said of a frame that shows buttons, but not these.
+ANOTHER = "another panel is seen"
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def changed(before: Patches, now: Patches, label: str) -> Array | str:
     pairs = same_buttons(before, now)
     of_it = [k for k, (i, _) in enumerate(pairs) if before.labels[i] == label]
     if len(of_it) != 1:
-        return f"{label} is {HIDDEN}" if len(pairs) else ANOTHER
+        return f"{label} is hidden" if len(pairs) else ANOTHER
     found = features(_chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1]), of_it[0])
     return "too little is seen around it" if found is None else found
 

@@ -106,11 +106,8 @@ def _carried_layouts(
     aspect: float, rays: Array, sigma: float, area: float, config: Config, effort: Effort
 ) -> list[LayoutFit]:
     """Return the likeliest layouts of points that are stretched across, fitted to the points as they are."""
-    few = config.hypotheses
-    few = replace(
-        few, seeds=max(1, round(_CARRIED_SHARE * few.seeds)), refined=max(2, round(_CARRIED_SHARE * few.refined))
-    )
-    found = _layouts(rays / [1.0, aspect], sigma, area / aspect, replace(config, hypotheses=few), effort)
+    few = replace(config, hypotheses=config.hypotheses.scaled(_CARRIED_SHARE))
+    found = _layouts(rays / [1.0, aspect], sigma, area / aspect, few, effort)
     carried = []
     for fit in sorted(found, key=lambda f: -f.log_likelihood)[:_CARRIED]:
         maps = np.diag([1.0, aspect, 1.0]) @ fit.pose.maps

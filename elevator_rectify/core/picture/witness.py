@@ -67,7 +67,7 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
         return Opinion(CONTRADICTED, displaced)
     if seen.mean() >= _CONFIRMED_SHARE:
         return Opinion(CONFIRMED, said, _nearest(things, centres_px, seen))
-    if _sharpness(_reduced(image, config.detector_side_px)) < _DIM:
+    if _sharpness(_gradient(_reduced(image, config.detector_side_px))) < _DIM:
         return Opinion(UNSEEN, f"{said}, which is blurred or dark")
     other = _seen_elsewhere(found, centres_px, float(seen.mean())) or _ill_placed(things, centres_px, shift)
     if other:
@@ -166,7 +166,8 @@ def _elsewhere(buttons: Array, centres_px: Array) -> int:
 
 def _empty_share(image: Image, centres_px: Array, sizes_px: Array) -> float:
     """Return the share of the boxes with nothing in them, 0 where the picture is too dark or blurred to tell."""
-    gradient, sharp = _gradient(image), _sharpness(image)
+    gradient = _gradient(image)
+    sharp = _sharpness(gradient)
     if sharp < _SHARP / 2.0:
         return 0.0
     empty = []
@@ -191,6 +192,6 @@ def _gradient(image: Image) -> Array:
     return np.asarray(cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8.0)
 
 
-def _sharpness(image: Image) -> float:
-    """Return the gradient that a hundredth of the picture has."""
-    return float(np.quantile(_gradient(image)[::3, ::3], 0.99))
+def _sharpness(gradient: Array) -> float:
+    """Return the gradient that a hundredth of the picture has, of its gradients (height, width)."""
+    return float(np.quantile(gradient[::3, ::3], 0.99))
