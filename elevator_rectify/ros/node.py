@@ -16,11 +16,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 
+from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.detector.follow import Found
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import aliases
 from elevator_rectify.core.reading.target import Choice
 from elevator_rectify.core.track import Track
+from elevator_rectify.core.warm_up import warm_up
 from elevator_rectify.ros.answer import Answer, answer_frame, chosen
 from elevator_rectify.ros.camera_check import CameraCheck
 from elevator_rectify.ros.confirming import ConfirmPress
@@ -71,6 +73,9 @@ class ElevatorRectify(Node):
         # What cannot be read ends the node here, not every frame.
         class_labels(self.node_config.detections.labels)
         aliases()
+        if COMPILED:
+            self.get_logger().info("numba is installed: loads the compiled kernels, compiles them once in some 20 s")
+        warm_up(self.config)
         self.add_on_set_parameters_callback(self._on_parameters)
         self.pairing = Pairing(self.node_config.pairing)
         self.statistics = Statistics()

@@ -12,8 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
+from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.pose import LatticePose, cross_matrix
+from elevator_rectify.core.lattice import kernels
+from elevator_rectify.core.lattice.kernels import SETTLED
 from elevator_rectify.core.lattice.refinement import (
     Poses,
     estimated_sigma,
@@ -27,8 +30,9 @@ from elevator_rectify.core.lattice.sizes import size_information, size_nats
 from elevator_rectify.core.types import Array, IntArray
 
 _STEPS = 5
-# A step of less, in pitches and radians, is far below any noise; Gauss-Newton's next one would be its square.
-_SETTLED = 3e-4
+_NO_SIZES = np.zeros(0)
+# R (3, 3), t (3,), ln aspect, centre (2,), nodes (K, 2), the number of columns, and the breaks in rows and columns.
+KernelArguments = tuple[Array, Array, float, Array, Array, int, IntArray, IntArray]
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,8 @@ def penalty(layout: Layout, config: JointConfig) -> float:
 
 def evaluate(pose: Poses, layout: Layout, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
     """Return what pose and layout explain, with the standard deviation that they leave."""
+    if COMPILED:
+        return _explained(pose, layout, rays, sigma, area, config)
     nodes = projected(pose, layout.nodes.reshape(1, -1, 2))[0][0]
     distance2 = ((rays[:, None] - nodes[None]) ** 2).sum(axis=-1)
     node = distance2.argmin(axis=1)
@@ -118,6 +124,15 @@ def evaluate(pose: Poses, layout: Layout, rays: Array, sigma: float, area: float
     empty = max(0.0, layout.cells - float(inlier.sum()))
     total = float(likelihood[0]) + prior - penalty(layout, config) - config.empty_nats * empty
     return LayoutFit(pose, layout, node, inlier[0], float(own[0]), total)
+
+
+def _explained(pose: Poses, layout: Layout, rays: Array, sigma: float, area: float, config: JointConfig) -> LayoutFit:
+    """Do the work of `evaluate` by the compiled kernel."""
+    cost = layout.cells, penalty(layout, config)
+    node, inlier, own, total = kernels.explained(
+        *kernel_arguments(pose, layout), *cost, rays, sigma, area, kernels.settings(config)
+    )
+    return LayoutFit(pose, layout, node, inlier, own, total)
 
 
 def design(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
@@ -162,6 +177,8 @@ def refine_layout(
     log_sizes: Array | None = None,
 ) -> LayoutFit:
     """Alternate responsibilities and Gauss-Newton steps on pose and breaks; by the boxes' sizes, too, if given."""
+    if COMPILED:
+        return _refined(fit, rays, sigma, area, config, steps, log_sizes)
     for _ in range(steps):
         error, J, _ = design(fit, rays)
         normal = information(J, fit.inlier, fit.sigma, config)
@@ -172,18 +189,51 @@ def refine_layout(
             normal, gradient = normal + of_sizes, gradient + pull
         step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
         fit = evaluate(stepped(fit.pose, step[None, :7]), moved(fit.layout, step[7:]), rays, sigma, area, config)
-        if np.abs(step).max() < _SETTLED:
+        if np.abs(step).max() < SETTLED:
             break
     return fit if log_sizes is None else replace(fit, size_nats=size_nats(depths(fit)[0], log_sizes, fit.inlier))
 
 
+def _refined(
+    fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig, steps: int, log_sizes: Array | None
+) -> LayoutFit:
+    """Do the work of `refine_layout` by the compiled kernel."""
+    layout = fit.layout
+    R, t, log_aspect, moves, node, inlier, own, total, depth = kernels.refined(
+        *kernel_arguments(fit.pose, layout),
+        *(layout.cells, penalty(layout, config), rays, sigma, area, kernels.settings(config)),
+        *(fit.node, fit.inlier, fit.sigma, steps, _NO_SIZES if log_sizes is None else log_sizes),
+    )
+    nats = 0.0 if log_sizes is None else size_nats(depth, log_sizes, inlier)
+    return LayoutFit(posed(fit.pose, R, t, log_aspect), shifted(layout, moves), node, inlier, own, total, nats)
+
+
+def kernel_arguments(pose: Poses, layout: Layout) -> KernelArguments:
+    """Return a pose and its layout as the kernels take them: of one type always, else they would be compiled again."""
+    R, t, centre = (np.ascontiguousarray(a[0], dtype=np.float64) for a in (pose.R, pose.t, pose.centre))
+    nodes = np.array(layout.nodes.reshape(-1, 2), dtype=np.float64)
+    breaks = np.array(layout.row_breaks, dtype=np.int64), np.array(layout.column_breaks, dtype=np.int64)
+    return R, t, float(pose.log_aspect[0]), centre, nodes, len(layout.columns), *breaks
+
+
+def posed(pose: Poses, R: Array, t: Array, log_aspect: float) -> Poses:
+    """Return a pose (batch of one) with what a kernel made of it."""
+    return replace(pose, R=R[None], t=t[None], log_aspect=np.array([log_aspect]))
+
+
 def moved(layout: Layout, steps: Array) -> Layout:
-    """Move the lines behind each break."""
+    """Move the lines behind each break, by no more than is sound at once."""
+    return shifted(layout, np.clip(steps, -0.3, 0.3))
+
+
+def shifted(layout: Layout, steps: Array) -> Layout:
+    """Return the layout with the lines behind each break so much further."""
+    if not len(steps):
+        return layout
     rows, columns = layout.rows.copy(), layout.columns.copy()
-    bounded = np.clip(steps, -0.3, 0.3)
-    for index, step in zip(layout.row_breaks, bounded, strict=False):
+    for index, step in zip(layout.row_breaks, steps, strict=False):
         rows[index:] += step
-    for index, step in zip(layout.column_breaks, bounded[len(layout.row_breaks) :], strict=True):
+    for index, step in zip(layout.column_breaks, steps[len(layout.row_breaks) :], strict=True):
         columns[index:] += step
     return replace(layout, rows=rows, columns=columns)
 

@@ -15,11 +15,10 @@ import numpy as np
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.hypotheses import lattice_coordinates, nearest_nodes
+from elevator_rectify.core.lattice.kernels import STEEP_RAD, TURNED_RAD
 from elevator_rectify.core.types import Array, IntArray
 
 _HUBER = 4.0
-# How softly the priors of tilt and roll end.
-_STEEP_RAD, _TURNED_RAD = 0.2, 0.02
 _FIELDS = ("R", "t", "log_aspect", "centre", "brick")
 _FARTHEST_CELL = 300
 ANNEALING = (2.0, 1.4, 1.0, 1.0)
@@ -212,8 +211,8 @@ def log_prior(poses: Poses, config: JointConfig) -> Array:
     """Return the log prior (B,): pitch ratio, tilt, and an upright camera, which tells rows from columns."""
     tilt = np.arccos(np.clip(np.abs(poses.R[:, 2, 2]), 0.0, 1.0))
     roll = np.arctan2(poses.R[:, 1, 0] - poses.R[:, 0, 1], poses.R[:, 0, 0] + poses.R[:, 1, 1])
-    steep = np.maximum(tilt - config.max_usual_tilt_rad, 0.0) / _STEEP_RAD
-    turned = np.maximum(np.abs(roll) - config.max_roll_rad, 0.0) / _TURNED_RAD
+    steep = np.maximum(tilt - config.max_usual_tilt_rad, 0.0) / STEEP_RAD
+    turned = np.maximum(np.abs(roll) - config.max_roll_rad, 0.0) / TURNED_RAD
     ratio = (poses.log_aspect - config.log_aspect) / config.log_aspect_std
     return np.asarray(-0.5 * (ratio**2 + steep**2 + turned**2))
 

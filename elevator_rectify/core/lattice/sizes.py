@@ -11,15 +11,13 @@ import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import jacobians_px
+from elevator_rectify.core.lattice.kernels import FARTHEST_SIZE, FEWEST_SIZES, MARGIN_SHARE, SIZE_STD, SLOPE_STD
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
 FEATURES = ("sizes' slope off over std", "sizes' slope known", "ln sizes' scatter")
-_FEWEST, _ROUNDS = 4, 4
-# A detector's boxes are not known better, as a share. Boxes with a margin shrink less than their buttons: on real
-# panels the slope is so much less than 1 in the median, and so uncertain.
-_LEAST_SCATTER, _MARGIN_SHARE, _SLOPE_STD = 0.03, 0.1, 0.15
-# Of one box, as a share; a size that is further off, in standard deviations, is of a larger or smaller button.
-_SIZE_STD, _FARTHEST = 0.06, 3.0
+_ROUNDS = 4
+# A detector's boxes are not known better, as a share.
+_LEAST_SCATTER = 0.03
 # On real panels no right fit had a slope that was surely less; ln(width / height) changed along the rows by less than
 # this from end to end.
 _LEAST_SLOPE, _FOLD, _SURE_STDS = 0.5, 0.35, 4.0
@@ -36,7 +34,7 @@ def size_features(fit: FitResult, index: IntArray, sizes_px: Array, camera: Came
         return np.array([0.0, 0.0, np.log(_USUAL_SCATTER)])
     expected, seen, _ = pairs
     slope, std, scatter = _line(expected.mean(axis=1), seen.mean(axis=1))
-    std = float(np.hypot(std, _SLOPE_STD))
+    std = float(np.hypot(std, SLOPE_STD))
     off = np.clip((slope - 1.0) / std, -_MOST_STDS, _MOST_STDS)
     return np.array([off, 1.0 / std, np.log(scatter)])
 
@@ -64,13 +62,13 @@ def _expected_and_seen(
     """Return ln of width and height (K, 2) as the fit predicts them, but for a factor, and as seen, and the places
     (K, 2) on the panel; None for few."""
     on = (fit.cells[index, 0] >= 0) & (sizes_px > 0).all(axis=1)
-    if on.sum() < _FEWEST or not np.isfinite(fit.grid_panel).all():
+    if on.sum() < FEWEST_SIZES or not np.isfinite(fit.grid_panel).all():
         return None
     cells = fit.cells[index[on]]
     places = fit.grid_panel[cells[:, 0], cells[:, 1]]
     expected = np.log(disc_sizes_px(fit, places, camera))
     known = np.isfinite(expected).all(axis=1)
-    return (expected[known], np.log(sizes_px[on])[known], places[known]) if known.sum() >= _FEWEST else None
+    return (expected[known], np.log(sizes_px[on])[known], places[known]) if known.sum() >= FEWEST_SIZES else None
 
 
 def size_nats(depth: Array, log_sizes: Array, inlier: Array) -> float:
@@ -80,25 +78,25 @@ def size_nats(depth: Array, log_sizes: Array, inlier: Array) -> float:
     of a plane is seen with an area that falls with the cube of its depth.
     """
     on = (inlier > 0.5) & np.isfinite(log_sizes)
-    if on.sum() < _FEWEST:
+    if on.sum() < FEWEST_SIZES:
         return 0.0
     expected = -1.5 * np.log(depth[on])
     expected -= np.median(expected)
-    off = log_sizes[on] - (1.0 - _MARGIN_SHARE) * expected
+    off = log_sizes[on] - (1.0 - MARGIN_SHARE) * expected
     off -= np.median(off)
-    variance = _SIZE_STD**2 + (_SLOPE_STD * expected) ** 2
-    return -0.5 * float(np.minimum(off**2 / variance, _FARTHEST**2).sum())
+    variance = SIZE_STD**2 + (SLOPE_STD * expected) ** 2
+    return -0.5 * float(np.minimum(off**2 / variance, FARTHEST_SIZE**2).sum())
 
 
 def size_information(depth: Array, d_depth: Array, log_sizes: Array, inlier: Array) -> tuple[Array, Array]:
     """Return information (P, P) and gradient (P,) of what the sizes say of parameters on which the depths (N,) depend
-    by d_depth (N, P): log_sizes = common + slope (-3/2) ln depth, common free and slope known to _SLOPE_STD.
+    by d_depth (N, P): log_sizes = common + slope (-3/2) ln depth, common free and slope known to SLOPE_STD.
     """
     on = (inlier > 0.5) & np.isfinite(log_sizes)
     number = d_depth.shape[1]
-    if on.sum() < _FEWEST:
+    if on.sum() < FEWEST_SIZES:
         return np.zeros((number, number)), np.zeros(number)
-    slope = 1.0 - _MARGIN_SHARE
+    slope = 1.0 - MARGIN_SHARE
     expected = -1.5 * np.log(depth[on])
     expected -= expected.mean()
     off = log_sizes[on] - slope * expected
@@ -106,9 +104,9 @@ def size_information(depth: Array, d_depth: Array, log_sizes: Array, inlier: Arr
     J = -1.5 * slope * d_depth[on] / depth[on, None]
     nuisance = np.column_stack([np.ones(int(on.sum())), expected])
     # Some buttons are larger than the others: what is far off counts little (Geman and McClure).
-    weight = inlier[on] / (1.0 + (off / (_FARTHEST * _SIZE_STD)) ** 2) ** 2 / _SIZE_STD**2
+    weight = inlier[on] / (1.0 + (off / (FARTHEST_SIZE * SIZE_STD)) ** 2) ** 2 / SIZE_STD**2
     weighted, cross = J.T * weight, nuisance.T * weight
-    own = cross @ nuisance + np.diag([0.0, _SLOPE_STD**-2])
+    own = cross @ nuisance + np.diag([0.0, SLOPE_STD**-2])
     share = np.linalg.solve(own, cross @ J).T
     return weighted @ J - share @ (cross @ J), weighted @ off - share @ (cross @ off)
 

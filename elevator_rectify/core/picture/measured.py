@@ -6,12 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.config import Config
+from elevator_rectify.core.compiled import COMPILED
+from elevator_rectify.core.config import Config, JointConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.lattice.layout import LayoutFit, design, moved
+from elevator_rectify.core.lattice.kernels import settings
+from elevator_rectify.core.lattice.layout import LayoutFit, design, kernel_arguments, moved, posed, shifted
 from elevator_rectify.core.lattice.refinement import jacobians, projected, stepped
 from elevator_rectify.core.picture.alignment import Boxes, Places, boxes_of, centred, joined, located, undetected
 from elevator_rectify.core.picture.halving import halved
+from elevator_rectify.core.picture.kernels import HUBER, in_lattice, placed
 from elevator_rectify.core.picture.patches import Picture, Window, half_size_pitch, picture_of, window_of
 from elevator_rectify.core.picture.template import Template
 from elevator_rectify.core.types import Array, Image
@@ -22,7 +25,6 @@ _FEWEST = 4
 # Bounds of the panel's own scatter, in column pitches; the usual one counts as much as so many buttons.
 _LEAST_SCATTER, _MOST_SCATTER = 0.001, 0.03
 _SCATTER_WORTH = 4.0
-_HUBER = 2.5
 # Half a button over the smaller pitch, where boxes have no size.
 _USUAL_HALF = 0.31
 
@@ -124,15 +126,7 @@ def fitted(fit: LayoutFit, places: Places, scatter: float, view: View, config: C
     fit = replace(fit, node=places.node, inlier=np.ones(len(nodes)))
     metric = np.array([1.0, float(np.exp(fit.pose.log_aspect[0]))])
     weight = np.asarray(np.linalg.inv(places.covariance + np.diag((scatter / metric) ** 2)), dtype=float)
-    for _ in range(steps):
-        off, J, _ = _in_lattice(fit, rays)
-        robust = _huber(off, weight)
-        half_normal = np.swapaxes(J, 1, 2) @ (robust[:, None, None] * weight)
-        normal, gradient = (half_normal @ J).sum(axis=0), (half_normal @ off[..., None]).sum(axis=0)[:, 0]
-        normal[6, 6] += 1.0 / config.joint.log_aspect_std**2
-        gradient[6] -= (fit.pose.log_aspect[0] - config.joint.log_aspect) / config.joint.log_aspect_std**2
-        step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
-        fit = replace(fit, pose=stepped(fit.pose, step[None, :7]), layout=moved(fit.layout, step[7:]))
+    fit = _moved_to(fit, rays, weight, config.joint, steps)
     off, J, d_uv = _in_lattice(fit, rays)
     per_ray = np.linalg.inv(d_uv)
     information = np.swapaxes(per_ray, 1, 2) @ (_huber(off, weight)[:, None, None] * weight) @ per_ray
@@ -140,8 +134,33 @@ def fitted(fit: LayoutFit, places: Places, scatter: float, view: View, config: C
     return MeasuredFit(fit, places, rays, information, own, residual, view)
 
 
+def _moved_to(fit: LayoutFit, rays: Array, weight: Array, config: JointConfig, steps: int) -> LayoutFit:
+    """Return the fit after so many Gauss-Newton steps towards places (M, 2) of weights (M, 2, 2), in pitches."""
+    if COMPILED:
+        return _by_kernel(fit, rays, weight, config, steps)
+    for _ in range(steps):
+        off, J, _ = _in_lattice(fit, rays)
+        robust = _huber(off, weight)
+        half_normal = np.swapaxes(J, 1, 2) @ (robust[:, None, None] * weight)
+        normal, gradient = (half_normal @ J).sum(axis=0), (half_normal @ off[..., None]).sum(axis=0)[:, 0]
+        normal[6, 6] += 1.0 / config.log_aspect_std**2
+        gradient[6] -= (fit.pose.log_aspect[0] - config.log_aspect) / config.log_aspect_std**2
+        step = np.linalg.solve(normal + np.diag(1e-6 + 1e-5 * np.diag(normal)), gradient)
+        fit = replace(fit, pose=stepped(fit.pose, step[None, :7]), layout=moved(fit.layout, step[7:]))
+    return fit
+
+
+def _by_kernel(fit: LayoutFit, rays: Array, weight: Array, config: JointConfig, steps: int) -> LayoutFit:
+    """Do the work of `_moved_to` by the compiled kernel."""
+    arguments, set_ = kernel_arguments(fit.pose, fit.layout), settings(config)
+    R, t, log_aspect, moves = placed(*arguments, fit.node, rays, weight, set_, steps)
+    return replace(fit, pose=posed(fit.pose, R, t, log_aspect), layout=shifted(fit.layout, moves))
+
+
 def _in_lattice(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
     """Return error (M, 2) and Jacobian (M, 2, P) of the places in pitches, and d(ray) / d(column, row) (M, 2, 2)."""
+    if COMPILED:
+        return in_lattice(*kernel_arguments(fit.pose, fit.layout), fit.node, rays)
     error, J, d_uv = design(fit, rays)
     both = np.linalg.solve(d_uv, np.concatenate([error[..., None], J], axis=-1))
     return both[..., 0], both[..., 1:], d_uv
@@ -150,7 +169,7 @@ def _in_lattice(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
 def _huber(off: Array, weight: Array) -> Array:
     """Return Huber's weights (M,) of errors (M, 2) by their Mahalanobis distance."""
     d2 = (off * (weight @ off[..., None])[..., 0]).sum(axis=1)
-    return np.asarray(np.minimum(1.0, _HUBER / np.sqrt(np.maximum(d2, 1e-12))))
+    return np.asarray(np.minimum(1.0, HUBER / np.sqrt(np.maximum(d2, 1e-12))))
 
 
 def _scatter(off: Array, places: Places, parameters: int, usual: float) -> tuple[float, float]:

@@ -12,6 +12,8 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 
+from elevator_rectify.core.compiled import COMPILED
+from elevator_rectify.core.picture.kernels import LEAST_GAIN, REWEIGHTINGS, aligned
 from elevator_rectify.core.types import Array
 
 # Grey values per sample: gradients below are noise.
@@ -19,11 +21,9 @@ _NOISE_GRADIENT = 6.0
 _DERIVATIVE_SIGMA = 0.7
 _INNER_WEIGHT = 0.25
 _DEVIATION_FLOOR = 0.15
-_REWEIGHTINGS = 2
 # So few whole patches make a template of their own; so many suffice.
 _FEWEST_WHOLE, _ENOUGH = 4, 24
 _SYMMETRIC = 0.6
-_LEAST_GAIN = 0.05
 # Of a symmetric matrix of four unknowns.
 _FIRST, _SECOND = np.triu_indices(4)
 
@@ -118,13 +118,29 @@ def align(template: Template, features: Array, inside: Array) -> Aligned:
 
     One linear step from no shift, in which gain * shift is the coefficient of the template's gradient.
     """
+    F = features.reshape(len(features), -1)
+    x, normal, variance, total, correlation = _solutions(template, F, inside.reshape(F.shape))
+    gain = np.maximum(x[:, 2], LEAST_GAIN)
+    # Blurred samples are not independent of each other.
+    correlated = 4.0 * np.pi * (template.blur**2 + _DERIVATIVE_SIGMA**2)
+    counted = inside.reshape(F.shape) @ (template.weight.ravel() > 0).astype(np.float32)
+    mean_weight = total / np.maximum(counted, 1.0)
+    spread = (correlated * variance * mean_weight / gain**2)[:, None, None]
+    covariance = np.linalg.inv(normal)[:, :2, :2] * spread
+    return Aligned(-x[:, :2] / gain[:, None], covariance, correlation)
+
+
+def _solutions(template: Template, F: Array, inside: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the coefficients (M, 4) of rows of features (M, n n), normal matrices (M, 4, 4), variances (M,), total
+    weights (M,) and correlations (M,)."""
+    if COMPILED:
+        return _by_kernel(template, F, inside)
     A, products = template.design
     ones = np.ones(template.look.size, np.float32)
-    F = features.reshape(len(features), -1)
-    base = inside.reshape(F.shape) * template.weight.ravel()
+    base = inside * template.weight.ravel()
     total = base @ ones + np.float32(1e-6)
     weight = base
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(REWEIGHTINGS):
         normal = np.empty((len(F), 4, 4))
         normal[:, _FIRST, _SECOND] = normal[:, _SECOND, _FIRST] = weight @ products
         normal += 1e-6 * np.eye(4)
@@ -133,13 +149,16 @@ def align(template: Template, features: Array, inside: Array) -> Aligned:
         variance = (base * residual2) @ ones / total
         # Cauchy's weights.
         weight = base / (1.0 + residual2 / (2.0 * variance + np.float32(1e-9))[:, None])
-    gain = np.maximum(x[:, 2], _LEAST_GAIN)
-    # Blurred samples are not independent of each other.
-    correlated = 4.0 * np.pi * (template.blur**2 + _DERIVATIVE_SIGMA**2)
-    mean_weight = total / np.maximum((base > 0) @ ones, 1.0)
-    spread = (correlated * variance * mean_weight / gain**2)[:, None, None]
-    covariance = np.linalg.inv(normal)[:, :2, :2] * spread
-    return Aligned(-x[:, :2] / gain[:, None], covariance, _correlation(template, F, base, total))
+    return x, normal, variance, total, _correlation(template, F, base, total)
+
+
+def _by_kernel(template: Template, F: Array, inside: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Do the work of `_solutions` by the compiled kernel."""
+    A, look, weight, patches = (
+        np.ascontiguousarray(part, dtype=np.float32)
+        for part in (template.design[0], template.look.ravel(), template.weight.ravel(), F)
+    )
+    return aligned(A, look, weight, patches, np.ascontiguousarray(inside))
 
 
 def _correlation(template: Template, F: Array, weight: Array, total: Array) -> Array:

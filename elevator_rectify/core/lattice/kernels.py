@@ -1,0 +1,328 @@
+"""The inner loops of the fit of one layout, for numba: each does what the NumPy function does that it is named after.
+
+Without numba they serve the tests only, which compare them with that.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from elevator_rectify.core.compiled import compiled
+from elevator_rectify.core.config import JointConfig
+from elevator_rectify.core.types import Array, IntArray
+
+# How softly the priors of tilt and roll end.
+STEEP_RAD, TURNED_RAD = 0.2, 0.02
+# A step of less, in pitches and radians, is far below any noise; Gauss-Newton's next one would be its square.
+SETTLED = 3e-4
+# Of boxes' sizes, see `sizes`: so few say nothing. Boxes with a margin shrink less than their buttons: on real panels
+# the slope is so much less than 1 in the median, and so uncertain.
+FEWEST_SIZES, MARGIN_SHARE, SLOPE_STD = 4, 0.1, 0.15
+# Of one box, as a share; a size that is further off, in standard deviations, is of a larger or smaller button.
+SIZE_STD, FARTHEST_SIZE = 0.06, 3.0
+
+
+@lru_cache(maxsize=64)
+def settings(config: JointConfig) -> Array:
+    """Return what the kernels need of the configuration."""
+    names = (config.inlier_share, config.log_aspect, config.log_aspect_std, config.max_usual_tilt_rad)
+    nats = (config.max_roll_rad, config.empty_nats, config.gap_nats, config.stagger_nats)
+    return np.array([*names, *nats])
+
+
+@compiled
+def projected(R: Array, t: Array, log_aspect: float, centre: Array, lattice: Array) -> tuple[Array, Array, Array]:
+    """As `refinement.projected` for one pose: points (N, 2), arms (N, 3), depths (N,)."""
+    x, arm, depth = np.empty((len(lattice), 2)), np.empty((len(lattice), 3)), np.empty(len(lattice))
+    aspect = math.exp(log_aspect)
+    for n in range(len(lattice)):
+        u, v = lattice[n, 0] - centre[0], (lattice[n, 1] - centre[1]) * aspect
+        for k in range(3):
+            arm[n, k] = R[k, 0] * u + R[k, 1] * v
+        depth[n] = max(arm[n, 2] + t[2], 1e-3)
+        x[n, 0], x[n, 1] = (arm[n, 0] + t[0]) / depth[n], (arm[n, 1] + t[1]) / depth[n]
+    return x, arm, depth
+
+
+@compiled
+def jacobian(
+    R: Array, log_aspect: float, centre: Array, point: Array, x: Array, arm: Array, depth: float, J: Array, d_uv: Array
+) -> None:
+    """As `refinement.jacobians` for one lattice point (2,): fills J (2, 7 ...) and d_uv (2, 2)."""
+    inverse, aspect = 1.0 / depth, math.exp(log_aspect)
+    J[0, 0], J[0, 1], J[0, 2] = inverse, 0.0, -x[0] * inverse
+    J[1, 0], J[1, 1], J[1, 2] = 0.0, inverse, -x[1] * inverse
+    J[0, 3] = -x[0] * arm[1] * inverse
+    J[0, 4] = (arm[2] + x[0] * arm[0]) * inverse
+    J[0, 5] = -arm[1] * inverse
+    J[1, 3] = -(arm[2] + x[1] * arm[1]) * inverse
+    J[1, 4] = x[1] * arm[0] * inverse
+    J[1, 5] = arm[0] * inverse
+    for k in range(2):
+        d_uv[k, 0] = (R[k, 0] - x[k] * R[2, 0]) * inverse
+        d_uv[k, 1] = (R[k, 1] - x[k] * R[2, 1]) * aspect * inverse
+        J[k, 6] = d_uv[k, 1] * (point[1] - centre[1])
+
+
+@compiled
+def mixture(error2: Array, number: float, sigma: float, area: float, share: float, inlier: Array) -> float:
+    """As `refinement.mixture_likelihood` for one pose: fills inlier (N,), returns the log likelihood."""
+    s2, total = sigma * sigma, 0.0
+    log_odds = math.log(share / (1.0 - share) * area / (number * 2.0 * math.pi * s2))
+    for n in range(len(error2)):
+        ratio = log_odds - 0.5 * error2[n] / s2
+        log_total = ratio + math.log1p(math.exp(-ratio)) if ratio > 0.0 else math.log1p(math.exp(ratio))
+        inlier[n] = math.exp(ratio - log_total)
+        total += log_total
+    return total
+
+
+@compiled
+def own_sigma(error2: Array, inlier: Array, sigma: float) -> float:
+    """As `refinement.estimated_sigma` for one pose."""
+    variance = (float((inlier * error2).sum()) + 4.0 * sigma**2) / (max(2.0 * inlier.sum() - 7.0, 0.0) + 4.0)
+    return float(min(max(math.sqrt(variance), 0.3 * sigma), 2.7 * sigma))
+
+
+@compiled
+def log_prior(R: Array, log_aspect: float, set_: Array) -> float:
+    """As `refinement.log_prior` for one pose."""
+    tilt = math.acos(min(max(abs(R[2, 2]), 0.0), 1.0))
+    roll = math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+    steep = max(tilt - set_[3], 0.0) / STEEP_RAD
+    turned = max(abs(roll) - set_[4], 0.0) / TURNED_RAD
+    ratio = (log_aspect - set_[1]) / set_[2]
+    return float(-0.5 * (ratio**2 + steep**2 + turned**2))
+
+
+@compiled
+def explained(
+    R: Array,
+    t: Array,
+    log_aspect: float,
+    centre: Array,
+    lattice: Array,
+    columns: int,
+    row_breaks: IntArray,
+    column_breaks: IntArray,
+    cells: float,
+    penalty: float,
+    rays: Array,
+    sigma: float,
+    area: float,
+    set_: Array,
+) -> tuple[IntArray, Array, float, float]:
+    """As `layout.evaluate`: nodes (N,), inlier (N,), sigma and log likelihood.
+
+    lattice: (K, 2) where the nodes are, row by row of `columns` each; breaks: before which rows and columns.
+    """
+    at = projected(R, t, log_aspect, centre, lattice)[0]
+    node, error2 = np.empty(len(rays), dtype=np.int64), np.empty(len(rays))
+    for n in range(len(rays)):
+        best = np.inf
+        node[n] = 0
+        for k in range(len(at)):
+            distance = (rays[n, 0] - at[k, 0]) ** 2 + (rays[n, 1] - at[k, 1]) ** 2
+            if distance < best:
+                best, node[n] = distance, k
+        error2[n] = best
+    inlier = np.empty(len(rays))
+    mixture(error2, cells, sigma, area, set_[0], inlier)
+    own = own_sigma(error2, inlier, sigma)
+    likelihood = mixture(error2, cells, own, area, set_[0], inlier)
+    empty = max(0.0, cells - inlier.sum())
+    return node, inlier, own, likelihood + log_prior(R, log_aspect, set_) - penalty - set_[5] * empty
+
+
+@compiled
+def solved(A: Array, b: Array) -> Array:
+    """Return the solution (P,) of a symmetric positive definite system, by Cholesky's factors."""
+    P = len(b)
+    L, x = np.zeros((P, P)), b.copy()
+    for i in range(P):
+        for j in range(i + 1):
+            s = A[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(s) if i == j else s / L[j, j]
+    for i in range(P):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(P - 1, -1, -1):
+        for k in range(i + 1, P):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    return x
+
+
+@compiled
+def stepped(R: Array, t: Array, log_aspect: float, step: Array) -> tuple[Array, Array, float]:
+    """As `refinement.stepped` for one pose."""
+    bound = 0.3 * t[2]
+    moved = np.empty(3)
+    for k in range(3):
+        moved[k] = t[k] + min(max(step[k], -bound), bound)
+    length = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+    scale = min(1.0, 0.5 / max(length, 1e-12))
+    angle = length * scale
+    over = scale / angle if angle > 1e-12 else scale
+    x, y, z = step[3] * over, step[4] * over, step[5] * over
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, versine = math.sin(angle), 1.0 - math.cos(angle)
+    turned = np.empty((3, 3))
+    for j in range(3):
+        for i in range(3):
+            turn = 0.0
+            for k in range(3):
+                square = 0.0
+                for m in range(3):
+                    square += K[i, m] * K[m, k]
+                turn += ((1.0 if i == k else 0.0) + sine * K[i, k] + versine * square) * R[k, j]
+            turned[i, j] = turn
+    return turned, moved, min(max(log_aspect + min(max(step[6], -0.3), 0.3), -1.5), 1.5)
+
+
+@compiled
+def moved(
+    lattice: Array, columns: int, row_breaks: IntArray, column_breaks: IntArray, steps: Array
+) -> tuple[Array, Array]:
+    """As `layout.moved`, the nodes (K, 2) themselves; and the steps, bounded."""
+    new, bounded = lattice.copy(), np.empty(len(steps))
+    for b in range(len(steps)):
+        bounded[b] = min(max(steps[b], -0.3), 0.3)
+        for k in range(len(new)):
+            if b < len(row_breaks):
+                if k // columns >= row_breaks[b]:
+                    new[k, 1] += bounded[b]
+            elif k % columns >= column_breaks[b - len(row_breaks)]:
+                new[k, 0] += bounded[b]
+    return new, bounded
+
+
+@compiled
+def add_sizes(depth: Array, d_depth: Array, log_sizes: Array, inlier: Array, normal: Array, gradient: Array) -> None:
+    """As `sizes.size_information`: adds information (P, P) and gradient (P,)."""
+    on = np.flatnonzero((inlier > 0.5) & np.isfinite(log_sizes))
+    M, P = len(on), len(gradient)
+    if M < FEWEST_SIZES:
+        return
+    slope = 1.0 - MARGIN_SHARE
+    expected = -1.5 * np.log(depth[on])
+    expected -= expected.mean()
+    off = log_sizes[on] - slope * expected
+    off -= np.median(off)
+    weight = inlier[on] / (1.0 + (off / (FARTHEST_SIZE * SIZE_STD)) ** 2) ** 2 / SIZE_STD**2
+    own, pull, cross = np.zeros((2, 2)), np.zeros(2), np.zeros((2, P))
+    for m in range(M):
+        for i in range(P):
+            J = -1.5 * slope * d_depth[on[m], i] / depth[on[m]]
+            cross[0, i] += weight[m] * J
+            cross[1, i] += weight[m] * J * expected[m]
+            gradient[i] += weight[m] * J * off[m]
+            for j in range(P):
+                normal[i, j] += weight[m] * J * -1.5 * slope * d_depth[on[m], j] / depth[on[m]]
+        own[0, 0] += weight[m]
+        own[0, 1] += weight[m] * expected[m]
+        own[1, 1] += weight[m] * expected[m] ** 2
+        pull[0] += weight[m] * off[m]
+        pull[1] += weight[m] * expected[m] * off[m]
+    own[1, 1] += SLOPE_STD**-2
+    determinant = own[0, 0] * own[1, 1] - own[0, 1] ** 2
+    for i in range(P):
+        first = (own[1, 1] * cross[0, i] - own[0, 1] * cross[1, i]) / determinant
+        second = (own[0, 0] * cross[1, i] - own[0, 1] * cross[0, i]) / determinant
+        gradient[i] -= first * pull[0] + second * pull[1]
+        for j in range(P):
+            normal[i, j] -= first * cross[0, j] + second * cross[1, j]
+
+
+@compiled
+def refined(
+    R: Array,
+    t: Array,
+    log_aspect: float,
+    centre: Array,
+    lattice: Array,
+    columns: int,
+    row_breaks: IntArray,
+    column_breaks: IntArray,
+    cells: float,
+    penalty: float,
+    rays: Array,
+    sigma: float,
+    area: float,
+    set_: Array,
+    node: IntArray,
+    inlier: Array,
+    own: float,
+    steps: int,
+    log_sizes: Array,
+) -> tuple[Array, Array, float, Array, IntArray, Array, float, float, Array]:
+    """As `layout.refine_layout`: pose, by how much the breaks moved, nodes, inlier, sigma, log likelihood, and the
+    nodes' depths.
+
+    log_sizes: (N,), or of length 0 where the boxes' sizes are left out.
+    """
+    N, B = len(rays), len(row_breaks)
+    P = 7 + B + len(column_breaks)
+    likelihood, moves = 0.0, np.zeros(P - 7)
+    J, d_uv, d_depth = np.zeros((2, P)), np.empty((2, 2)), np.zeros((N, P))
+    for _ in range(steps):
+        at = lattice[node]
+        x, arm, depth = projected(R, t, log_aspect, centre, at)
+        normal, gradient = np.zeros((P, P)), np.zeros(P)
+        down, along = R[2, 1] * math.exp(log_aspect), R[2, 0]
+        for n in range(N):
+            jacobian(R, log_aspect, centre, at[n], x[n], arm[n], depth[n], J, d_uv)
+            row, column = node[n] // columns, node[n] % columns
+            for b in range(P - 7):
+                after = row >= row_breaks[b] if b < B else column >= column_breaks[b - B]
+                for k in range(2):
+                    J[k, 7 + b] = d_uv[k, 1 if b < B else 0] if after else 0.0
+                d_depth[n, 7 + b] = (down if b < B else along) if after else 0.0
+            d_depth[n, 2], d_depth[n, 3], d_depth[n, 4] = 1.0, arm[n, 1], -arm[n, 0]
+            d_depth[n, 6] = down * (at[n, 1] - centre[1])
+            weight = inlier[n] / own**2
+            for k in range(2):
+                error = rays[n, k] - x[n, k]
+                for i in range(P):
+                    gradient[i] += weight * J[k, i] * error
+                    for j in range(i + 1):
+                        normal[i, j] += weight * J[k, i] * J[k, j]
+        for i in range(P):
+            for j in range(i):
+                normal[j, i] = normal[i, j]
+        normal[6, 6] += 1.0 / set_[2] ** 2
+        gradient[6] -= (log_aspect - set_[1]) / set_[2] ** 2
+        if len(log_sizes):
+            add_sizes(depth, d_depth, log_sizes, inlier, normal, gradient)
+        for i in range(P):
+            normal[i, i] += 1e-6 + 1e-5 * normal[i, i]
+        step = solved(normal, gradient)
+        R, t, log_aspect = stepped(R, t, log_aspect, step)
+        lattice, bounded = moved(lattice, columns, row_breaks, column_breaks, step[7:])
+        moves += bounded
+        node, inlier, own, likelihood = explained(
+            R,
+            t,
+            log_aspect,
+            centre,
+            lattice,
+            columns,
+            row_breaks,
+            column_breaks,
+            cells,
+            penalty,
+            rays,
+            sigma,
+            area,
+            set_,
+        )
+        if np.abs(step).max() < SETTLED:
+            break
+    depth = projected(R, t, log_aspect, centre, lattice[node])[2]
+    return R, t, log_aspect, moves, node, inlier, own, likelihood, depth
