@@ -15,6 +15,7 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
 from elevator_rectify.core.lattice import kernels as of_lattice
 from elevator_rectify.core.lattice import layout as of_layout
+from elevator_rectify.core.lattice import refinement
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, evaluate, refine_layout
 from elevator_rectify.core.lattice.refinement import Poses, projected
 from elevator_rectify.core.picture import kernels as of_picture
@@ -32,7 +33,7 @@ def both(monkeypatch: pytest.MonkeyPatch, do: Callable[[], T]) -> tuple[T, T]:
     """Return what is done in NumPy and by the kernels."""
     done = []
     for by_kernels in (False, True):
-        for module in (of_layout, measured, template):
+        for module in (refinement, of_layout, measured, template):
             monkeypatch.setattr(module, "COMPILED", by_kernels)
         done.append(do())
     return done[0], done[1]
@@ -72,6 +73,20 @@ def test_a_layout_is_evaluated_and_refined_alike(seed: int, monkeypatch: pytest.
     assert_alike(*both(monkeypatch, lambda: evaluate(fit.pose, fit.layout, *given)))
     for log_sizes in (None, sizes):
         assert_alike(*both(monkeypatch, partial(refine_layout, fit, *given, 4, log_sizes)))
+
+
+def test_many_poses_are_stepped_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = [drawn(seed)[0] for seed in range(3)]
+    rays = drawn(0)[1]
+    poses = refinement.joined(*(f.pose for f in fits))
+    cells = refinement.nearest_cells(poses.maps, poses.brick, rays)[0]
+    inlier = np.random.default_rng(1).uniform(0, 1, cells.shape[:2])
+    for huber in (np.inf, 2.0 * SIGMA):
+        sigma = np.full(len(fits), SIGMA)
+        given = (poses, cells, inlier, rays, sigma, JOINT, huber)
+        one, other = both(monkeypatch, partial(refinement.towards, *given))
+        for name in ("R", "t", "log_aspect"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -17,6 +17,7 @@ from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.pose import LatticePose, cross_matrix
 from elevator_rectify.core.lattice import kernels
 from elevator_rectify.core.lattice.kernels import SETTLED
+from elevator_rectify.core.lattice.pose_kernels import settings
 from elevator_rectify.core.lattice.refinement import (
     Poses,
     estimated_sigma,
@@ -130,7 +131,7 @@ def _explained(pose: Poses, layout: Layout, rays: Array, sigma: float, area: flo
     """Do the work of `evaluate` by the compiled kernel."""
     cost = layout.cells, penalty(layout, config)
     node, inlier, own, total = kernels.explained(
-        *kernel_arguments(pose, layout), *cost, rays, sigma, area, kernels.settings(config)
+        *kernel_arguments(pose, layout), *cost, rays, sigma, area, settings(config)
     )
     return LayoutFit(pose, layout, node, inlier, own, total)
 
@@ -201,7 +202,7 @@ def _refined(
     layout = fit.layout
     R, t, log_aspect, moves, node, inlier, own, total, depth = kernels.refined(
         *kernel_arguments(fit.pose, layout),
-        *(layout.cells, penalty(layout, config), rays, sigma, area, kernels.settings(config)),
+        *(layout.cells, penalty(layout, config), rays, sigma, area, settings(config)),
         *(fit.node, fit.inlier, fit.sigma, steps, _NO_SIZES if log_sizes is None else log_sizes),
     )
     nats = 0.0 if log_sizes is None else size_nats(depth, log_sizes, inlier)

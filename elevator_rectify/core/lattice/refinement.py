@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice.hypotheses import lattice_coordinates, nearest_nodes
 from elevator_rectify.core.lattice.kernels import STEEP_RAD, TURNED_RAD
+from elevator_rectify.core.lattice.pose_kernels import settings, steps_towards
 from elevator_rectify.core.types import Array, IntArray
 
 _HUBER = 4.0
@@ -170,12 +172,33 @@ def fitted(
     """
     wide = np.full(len(poses.R), sigma)
     for _ in range(steps):
-        predicted, J, _ = jacobians(poses, cells)
-        error = rays - predicted
-        # Huber's weights: one wrong cell must not carry the others away.
-        weights = inlier / np.maximum(1.0, np.hypot(error[..., 0], error[..., 1]) / (_HUBER * sigma))
-        poses = stepped(poses, gauss_newton(J, error, weights, wide, poses.log_aspect, config))
+        # One wrong cell must not carry the others away.
+        poses = towards(poses, cells, inlier, rays, wide, config, _HUBER * sigma)
     return poses
+
+
+def towards(
+    poses: Poses, cells: Array, inlier: Array, rays: Array, sigma: Array, config: JointConfig, huber: float = np.inf
+) -> Poses:
+    """Return the poses after a Gauss-Newton step; huber: errors that are larger count less (Huber)."""
+    if COMPILED:
+        return _by_kernel(poses, cells, inlier, rays, sigma, config, huber)
+    predicted, J, _ = jacobians(poses, cells)
+    error = rays - predicted
+    weights = inlier / np.maximum(1.0, np.hypot(error[..., 0], error[..., 1]) / huber)
+    return stepped(poses, gauss_newton(J, error, weights, sigma, poses.log_aspect, config))
+
+
+def _by_kernel(
+    poses: Poses, cells: Array, inlier: Array, rays: Array, sigma: Array, config: JointConfig, huber: float
+) -> Poses:
+    """Do the work of `towards` by the compiled kernel."""
+    arrays = (poses.R, poses.t, poses.log_aspect, poses.centre, cells, rays, inlier, sigma)
+    R, t, log_aspect, centre, cells, rays, inlier, sigma = (np.ascontiguousarray(a, dtype=np.float64) for a in arrays)
+    R, t, log_aspect = steps_towards(
+        R, t, log_aspect, centre, cells, rays, inlier, sigma, float(huber), settings(config)
+    )
+    return replace(poses, R=R, t=t, log_aspect=log_aspect)
 
 
 def refine(poses: Poses, rays: Array, sigma: float, area: float, config: JointConfig) -> Scored:
@@ -184,12 +207,11 @@ def refine(poses: Poses, rays: Array, sigma: float, area: float, config: JointCo
     number = np.full(len(poses.R), float(len(rays)))
     for factor in ANNEALING:
         cells = nearest_cells(poses.maps, poses.brick, rays)[0]
-        predicted, J, _ = jacobians(poses, cells)
-        error = rays - predicted
+        error = rays - projected(poses, cells)[0]
         _, inlier = mixture_likelihood((error**2).sum(axis=-1), number, wide * factor, area, config)
         inlier = connected(cells, inlier)
         number = box_cells(cells, inlier)
-        poses = stepped(poses, gauss_newton(J, error, inlier, wide * factor, poses.log_aspect, config))
+        poses = towards(poses, cells, inlier, rays, wide * factor, config)
     return scored(poses, rays, sigma, area, config)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -55,13 +56,19 @@ def with_columns_as_rows(
     change: _Change, fit: LayoutFit, rays: Array, sigma: float, area: float, config: JointConfig
 ) -> LayoutFit:
     """Do with the columns what `change` does with rows, where that explains the detections better."""
-    turned = replace(config, log_aspect=-config.log_aspect)
+    turned = _turned(config)
     across = evaluate(transposed(fit.pose), fit.layout.transposed, rays, sigma, area, turned)
     changed = change(across, rays, sigma, area, turned)
     if changed is across:
         return fit
     back = evaluate(transposed(changed.pose), changed.layout.transposed, rays, sigma, area, config)
     return back if back.log_likelihood > fit.log_likelihood else fit
+
+
+@lru_cache(maxsize=64)
+def _turned(config: JointConfig) -> JointConfig:
+    """Return the settings for a panel whose rows and columns are exchanged."""
+    return replace(config, log_aspect=-config.log_aspect)
 
 
 def transposed(poses: Poses) -> Poses:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elevator_rectify.core.compiled import compiled, reordered
-from elevator_rectify.core.lattice.kernels import jacobian, moved, projected, solved, stepped
+from elevator_rectify.core.lattice.kernels import moved
+from elevator_rectify.core.lattice.pose_kernels import jacobian, projected, solved, stepped
 from elevator_rectify.core.types import Array, BoolArray, IntArray
 
 Floats = NDArray[np.float32]

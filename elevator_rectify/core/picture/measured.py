@@ -9,8 +9,8 @@ import numpy as np
 from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import Config, JointConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.lattice.kernels import settings
 from elevator_rectify.core.lattice.layout import LayoutFit, design, kernel_arguments, moved, posed, shifted
+from elevator_rectify.core.lattice.pose_kernels import settings
 from elevator_rectify.core.lattice.refinement import jacobians, projected, stepped
 from elevator_rectify.core.picture.alignment import Boxes, Places, boxes_of, centred, joined, located, undetected
 from elevator_rectify.core.picture.halving import halved
