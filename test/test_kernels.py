@@ -13,9 +13,9 @@ import pytest
 from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
+from elevator_rectify.core.lattice import hypotheses, pose_kernels, refinement
 from elevator_rectify.core.lattice import kernels as of_lattice
 from elevator_rectify.core.lattice import layout as of_layout
-from elevator_rectify.core.lattice import refinement
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, evaluate, refine_layout
 from elevator_rectify.core.lattice.refinement import Poses, projected
 from elevator_rectify.core.picture import kernels as of_picture
@@ -33,7 +33,7 @@ def both(monkeypatch: pytest.MonkeyPatch, do: Callable[[], T]) -> tuple[T, T]:
     """Return what is done in NumPy and by the kernels."""
     done = []
     for by_kernels in (False, True):
-        for module in (refinement, of_layout, measured, template):
+        for module in (hypotheses, refinement, of_layout, measured, template):
             monkeypatch.setattr(module, "COMPILED", by_kernels)
         done.append(do())
     return done[0], done[1]
@@ -89,6 +89,22 @@ def test_many_poses_are_stepped_alike(monkeypatch: pytest.MonkeyPatch) -> None:
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
 
 
+def test_seeds_are_supported_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    rays = drawn(3)[1]
+    origins, bases = hypotheses.affine_seeds(rays, Config().hypotheses)
+    brick = np.asarray(np.arange(len(origins)) % 2.0, dtype=float)
+    one, other = both(monkeypatch, partial(hypotheses.seed_support, rays, origins, bases, brick))
+    # Sums in single precision.
+    np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+def test_far_ones_are_left_out_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(4)
+    cells, inlier = np.round(rng.normal(0, 4, (5, 12, 2))), rng.uniform(0, 1, (5, 12))
+    one, other = both(monkeypatch, partial(refinement.connected, cells, inlier))
+    np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_steps_towards_places_are_alike(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     fit, rays, _ = drawn(seed)
@@ -122,6 +138,9 @@ def test_every_kernel_is_compiled_once_and_for_all() -> None:
     """What is compiled for other types of arguments would hold up a frame for seconds."""
     warm_up(Config())
     called: tuple[Any, ...] = (
+        pose_kernels.steps_towards,
+        of_lattice.support,
+        of_lattice.connected,
         of_lattice.explained,
         of_lattice.refined,
         of_picture.in_lattice,

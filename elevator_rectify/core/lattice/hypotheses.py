@@ -8,7 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import HypothesesConfig
+from elevator_rectify.core.lattice.kernels import SUPPORT_REACH, support
 from elevator_rectify.core.types import Array, IntArray
 
 # Growth: Chebyshev radius in cells around the seed within which points take part, then all.
@@ -40,6 +42,8 @@ _VARIANTS: tuple[_Variant, ...] = (
 _FEW_POINTS = 16
 _MANY_POINTS = 24
 _SEED_POINTS = 1500
+# Only so many of the points nearest to a seed are asked: a lattice has no more within the reach that counts.
+_NEAREST_POINTS = 64
 _FEW_VARIANTS: tuple[_Variant, ...] = (
     ((1.0, 1.0), 1.0, 0.0, 0.0, 0.5),
     ((1.0, 1.0), -1.0, 0.0, 0.0, 0.5),
@@ -114,21 +118,35 @@ def seed_support(rays: Array, origins: Array, bases: Array, brick: Array) -> Arr
     """Return (S,) how many points near each seed lie on its lattice, less half of those that do not."""
     # The longest loop of all: single precision, and no temporary arrays of vectors.
     inverse = np.linalg.inv(bases).astype(np.float32)
-    dx = rays[:, 0].astype(np.float32) - origins[:, :1].astype(np.float32)
-    dy = rays[:, 1].astype(np.float32) - origins[:, 1:].astype(np.float32)
+    # Perspective bends the affine lattice by its change per cell times the square of the distance.
+    length = np.sqrt(np.abs(np.linalg.det(bases))).astype(np.float32)
+    around, which = _around(rays, origins)
+    if COMPILED:
+        return support(around, which, inverse, length, np.ascontiguousarray(brick, dtype=np.float32))
+    dx, dy = around[which, :, 0], around[which, :, 1]
     u = inverse[:, 0, :1] * dx + inverse[:, 0, 1:] * dy
     v = inverse[:, 1, :1] * dx + inverse[:, 1, 1:] * dy
     row = np.round(v)
     across: NDArray[np.float32] = u - np.float32(0.5) * brick[:, None].astype(np.float32) * (row % 2)
     error2 = (across - np.round(across)) ** 2 + (v - row) ** 2
     distance = np.maximum(np.abs(u), np.abs(v))
-    # Perspective bends the affine lattice by its change per cell times the square of the distance.
-    length = np.sqrt(np.abs(np.linalg.det(bases)))[:, None].astype(np.float32)
-    tolerance = np.minimum(np.float32(0.07) + np.float32(0.35) * length * distance * distance, np.float32(0.3))
-    near = distance < 3.4
+    bent = np.float32(0.35) * length[:, None] * distance * distance
+    tolerance = np.minimum(np.float32(0.07) + bent, np.float32(0.3))
+    near = distance < SUPPORT_REACH
     hit = np.exp(np.float32(-0.5) * error2 / (tolerance * tolerance))
-    support = (np.float32(1.4) * hit - np.float32(0.4)) * near / (np.float32(1.0) + np.float32(0.3) * distance)
-    return np.asarray(support.sum(axis=1), dtype=np.float64)
+    each = (np.float32(1.4) * hit - np.float32(0.4)) * near / (np.float32(1.0) + np.float32(0.3) * distance)
+    return np.asarray(each.sum(axis=1), dtype=np.float64)
+
+
+def _around(rays: Array, origins: Array) -> tuple[NDArray[np.float32], IntArray]:
+    """Return the nearest points (U, K, 2) about each of U origins, from it, and which (S,) of them each seed's is."""
+    places, which = np.unique(origins, axis=0, return_inverse=True)
+    offset = rays[None] - places[:, None]
+    if len(rays) > _NEAREST_POINTS:
+        distance2 = (offset**2).sum(axis=2)
+        nearest = np.argpartition(distance2, _NEAREST_POINTS, axis=1)[:, :_NEAREST_POINTS]
+        offset = np.take_along_axis(offset, nearest[..., None], axis=1)
+    return offset.astype(np.float32), np.asarray(which, dtype=np.int64).ravel()
 
 
 def _diverse(support: Array, origins: Array, number: int) -> IntArray:

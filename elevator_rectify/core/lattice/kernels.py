@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from elevator_rectify.core.compiled import compiled
 from elevator_rectify.core.lattice.pose_kernels import jacobian, projected, solved, stepped
 from elevator_rectify.core.types import Array, IntArray
 
+Floats = NDArray[np.float32]
+
 # How softly the priors of tilt and roll end.
 STEEP_RAD, TURNED_RAD = 0.2, 0.02
+# Points further from a seed, in cells, say nothing of it; those in other cells than two away do not connect.
+SUPPORT_REACH, CONNECTED_CELLS = np.float32(3.4), 2.0
 # A step of less, in pitches and radians, is far below any noise; Gauss-Newton's next one would be its square.
 SETTLED = 3e-4
 # Of boxes' sizes, see `sizes`: so few say nothing. Boxes with a margin shrink less than their buttons: on real panels
@@ -19,6 +24,42 @@ SETTLED = 3e-4
 FEWEST_SIZES, MARGIN_SHARE, SLOPE_STD = 4, 0.1, 0.15
 # Of one box, as a share; a size that is further off, in standard deviations, is of a larger or smaller button.
 SIZE_STD, FARTHEST_SIZE = 0.06, 3.0
+
+
+@compiled
+def support(around: Floats, which: IntArray, inverse: Floats, length: Floats, brick: Floats) -> Array:
+    """As `hypotheses.seed_support`: around (U, K, 2) are the points near each origin, which (S,) is the seeds' own."""
+    total = np.zeros(len(which))
+    half, one = np.float32(0.5), np.float32(1.0)
+    for s in range(len(which)):
+        points = around[which[s]]
+        for k in range(len(points)):
+            u = inverse[s, 0, 0] * points[k, 0] + inverse[s, 0, 1] * points[k, 1]
+            v = inverse[s, 1, 0] * points[k, 0] + inverse[s, 1, 1] * points[k, 1]
+            distance = max(abs(u), abs(v))
+            if not distance < SUPPORT_REACH:
+                continue
+            row = np.float32(round(v))
+            across = u - half * brick[s] * (row % np.float32(2.0))
+            error2 = (across - np.float32(round(across))) ** 2 + (v - row) ** 2
+            tolerance = min(np.float32(0.07) + np.float32(0.35) * length[s] * distance * distance, np.float32(0.3))
+            hit = np.exp(-half * error2 / (tolerance * tolerance))
+            total[s] += (np.float32(1.4) * hit - np.float32(0.4)) / (one + np.float32(0.3) * distance)
+    return total
+
+
+@compiled
+def connected(cells: Array, inlier: Array) -> Array:
+    """As `refinement.connected`."""
+    kept = np.zeros(inlier.shape)
+    for b in range(len(inlier)):
+        for n in range(inlier.shape[1]):
+            for m in range(inlier.shape[1]):
+                du, dv = abs(cells[b, n, 0] - cells[b, m, 0]), abs(cells[b, n, 1] - cells[b, m, 1])
+                if inlier[b, m] > 0.5 and du <= CONNECTED_CELLS and dv <= CONNECTED_CELLS and du + dv > 0.0:
+                    kept[b, n] = inlier[b, n]
+                    break
+    return kept
 
 
 @compiled

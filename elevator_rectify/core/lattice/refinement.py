@@ -15,8 +15,9 @@ import numpy as np
 from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.rotations import rotations
+from elevator_rectify.core.lattice import kernels
 from elevator_rectify.core.lattice.hypotheses import lattice_coordinates, nearest_nodes
-from elevator_rectify.core.lattice.kernels import STEEP_RAD, TURNED_RAD
+from elevator_rectify.core.lattice.kernels import CONNECTED_CELLS, STEEP_RAD, TURNED_RAD
 from elevator_rectify.core.lattice.pose_kernels import settings, steps_towards
 from elevator_rectify.core.types import Array, IntArray
 
@@ -133,9 +134,11 @@ def box_cells(cells: Array, inlier: Array) -> Array:
 
 def connected(cells: Array, inlier: Array) -> Array:
     """Return the inliers (B, N) that have another one, of another cell, within two cells: far ones are chance."""
+    if COMPILED:
+        return kernels.connected(np.ascontiguousarray(cells), np.ascontiguousarray(inlier))
     u, v = cells[..., 0].astype(np.float32), cells[..., 1].astype(np.float32)
     du, dv = np.abs(u[:, :, None] - u[:, None]), np.abs(v[:, :, None] - v[:, None])
-    near = (du <= 2) & (dv <= 2) & (du + dv > 0) & (inlier > 0.5)[:, None, :]
+    near = (du <= CONNECTED_CELLS) & (dv <= CONNECTED_CELLS) & (du + dv > 0) & (inlier > 0.5)[:, None, :]
     return np.asarray(inlier * near.any(axis=-1))
 
 

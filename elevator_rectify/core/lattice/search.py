@@ -100,9 +100,9 @@ def _best_extra_row(fit: LayoutFit, rays: Array, sigma: float, area: float, conf
     for stagger in (0.0, 1.0):
         nodes = layout.columns + 0.5 * stagger
         u = nodes[np.abs(q[left, 0, None] - nodes).argmin(axis=1)]
-        across = np.broadcast_to(q[left, 0] - u, (len(positions), len(left)))
-        delta = np.stack([across, q[left, 1] - positions[:, None]], axis=-1)
-        error2 = (np.einsum("nij,pnj->pni", d_uv, delta) ** 2).sum(axis=-1)
+        across, down = q[left, 0] - u, q[left, 1] - positions[:, None]
+        x, y = (d_uv[:, k, 0] * across + d_uv[:, k, 1] * down for k in (0, 1))
+        error2 = x * x + y * y
         gains = np.logaddexp(0.0, odds - 0.5 * error2 / spread**2).sum(axis=1) - loss
         supporters = (error2 < (3.0 * spread) ** 2).sum(axis=1)
         for k in np.argsort(-gains)[:6]:
