@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
-from elevator_rectify.ros.messages import make_ros
+from elevator_rectify.ros.messages import make_ros, ros_type
+from elevator_rectify.ros.output import image_message
 from elevator_rectify.ros.pictures import BadMessage
-from elevator_rectify.ros.serialized import Unread, read_header, read_image
+from elevator_rectify.ros.serialized import Unread, make_published, read_header, read_image
 from test.messages import header
 
 
@@ -44,6 +45,20 @@ def test_images_are_read_as_rclpy_reads_them(frame: str, encoding: str, size: in
     assert (read.header.frame_id, read.header.stamp.sec) == (frame, message.header.stamp.sec)
     assert read.header.stamp.nanosec == message.header.stamp.nanosec
     assert bytes(read.data) == bytes(message.data)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    frame=st.text(st.characters(min_codepoint=1, exclude_categories=["Cs"]), max_size=20),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9), st.sampled_from([1, 3])),
+    stamp=st.integers(0, 2**31 * 10**9 - 1),
+)
+def test_images_are_written_as_rclpy_reads_them(frame: str, shape: tuple[int, int, int], stamp: int) -> None:
+    picture = pixels(int(np.prod(shape))).reshape(shape[:2] if shape[2] == 1 else shape)[:, ::-1]
+    written = image_message(picture, header(stamp, frame), make_published)
+    assert isinstance(written, bytes)
+    read = deserialize_message(written, ros_type("sensor_msgs/msg/Image"))
+    assert read == image_message(picture, header(stamp, frame), make_ros)
 
 
 def test_compressed_images_too() -> None:

@@ -45,6 +45,7 @@ from elevator_rectify.ros.pairing import Frame, Pairing
 from elevator_rectify.ros.parameters import changed, declare
 from elevator_rectify.ros.poses import ros_header
 from elevator_rectify.ros.running import run_node
+from elevator_rectify.ros.serialized import make_published
 from elevator_rectify.ros.statistics import Statistics
 from elevator_rectify.ros.subscribe import (
     DetectionsSubscriber,
@@ -276,7 +277,7 @@ class ElevatorRectify(Node):
     def _publish(self, answer: Answer) -> None:
         """Publish what somebody listens to; the status comes last and includes the time of the others."""
         self._log(answer)
-        for topic, message in output_messages(answer, make_ros, self._listened):
+        for topic, message in output_messages(answer, make_published, self._listened):
             self._outputs[topic].publish(message)
             answer.stopwatch.lap("publish")
         if self._tf is not None and answer.fit.ok and answer.fit.metric:
