@@ -134,6 +134,9 @@ def _fit(
         last = _tracked(usable, camera, sigma, config, previous, image) if previous is not None else None
         if last is not None and previous is not None and not grew(last, previous):
             return last
+        # A picture is worth searching where more of the boxes are on a lattice than before.
+        if last is not None and last.ok and image is not None and not _more(last, usable, camera, sigma, config):
+            return last
         fresh = undoubted(_searched(usable, camera, sigma, config, image), usable, camera, sigma, config, image)
         return last if last is not None and last.ok and not (fresh.ok and fresh.inliers > last.inliers) else fresh
     fit = fit_paper(usable.rays, camera, config, printed=config.method == "paper_as_printed")
@@ -146,6 +149,12 @@ def _tracked(
     """Return the previous fit moved to the buttons, without the marks beside them; None where it explains them not."""
     buttons = usable.without(marks_as_before(previous, usable.rays, usable.log_sizes))
     return tracked(buttons, camera, sigma, config, previous, image)
+
+
+def _more(last: FitResult, usable: Usable, camera: Camera, sigma: float, config: Config) -> bool:
+    """Tell whether a search by the boxes alone explains one that the tracked fit leaves out."""
+    boxes = _searched(usable, camera, sigma, config, None)
+    return bool((boxes.cells[last.cells[:, 0] < 0, 0] >= 0).any())
 
 
 def _searched(usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None) -> FitResult:
