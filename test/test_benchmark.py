@@ -167,3 +167,9 @@ def test_cells_of_removed_buttons_are_the_examples_of_the_model() -> None:
     assert np.isfinite(constant) and np.isfinite(coefficients).all()
     table = calibrate_filled.cross_validated([e.name for e in panels], cells)
     assert "printed" in table and "spoilt" in table
+
+
+def test_the_times_of_fits_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert program.main(["--times", "1"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"{name:<20}{number:>4}" in said for name in ("boxes", "boxes and picture") for number in (10, 60, 200))

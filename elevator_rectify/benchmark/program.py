@@ -69,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
     parser.add_argument("--taught", type=int, default=0, metavar="N", help="N rendered panels a level, taught before")
     parser.add_argument("--calibration", type=int, default=0, metavar="N", help="the camera, by each of N panels")
+    parser.add_argument("--times", type=int, default=0, metavar="N", help="time of a fit to N rendered panels a size")
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
     parser.add_argument(
@@ -95,6 +96,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
+    tables = _times if options.times else tables
     tables = _taught if options.taught or options.calibration else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
@@ -121,7 +123,6 @@ def _boxes(options: argparse.Namespace, figures: Figures, reference_ms: float) -
     levels, methods = options.levels.split(","), options.methods.split(",")
     if options.trials:
         print(synthetic_table(levels, methods, options.trials, options.seed, options.plot, figures))
-        print("\n" + timing_table(methods[0], min(100, options.trials), options.seed, reference_ms))
     if options.draws:
         print("\n" + negative_table(options.draws, options.seed, figures))
     if _real(options, "photos/photos.json"):
@@ -159,6 +160,11 @@ def _sequences(options: argparse.Namespace, figures: Figures, reference_ms: floa
 def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the table of detections that lie."""
     print(adversarial_table(options.adversarial, options.seed, figures))
+
+
+def _times(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the table of times."""
+    print(timing_table(options.methods.split(",")[0], options.times, options.seed, reference_ms))
 
 
 def _taught(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:

@@ -9,20 +9,23 @@ import numpy as np
 
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.core.attempts import best_attempt
+from elevator_rectify.core.compiled import COMPILED
 from elevator_rectify.core.config import Config, with_values
 from elevator_rectify.core.detections import usable_detections
 from elevator_rectify.core.picture.measured import measure
 from elevator_rectify.core.pipeline import fit_panel, sigma_px
+from elevator_rectify.core.warm_up import warm_up
 from elevator_rectify.render.levels import LEVELS, closest, random_view
 from elevator_rectify.render.looks import dressed, random_taking
 from elevator_rectify.render.panel import PITCH_M, regular_panel
 from elevator_rectify.render.photograph import photograph
 from elevator_rectify.render.scene import DetectorModel, Scene, make_scene, paper_camera
 
-SIZES = {10: (5, 2), 30: (10, 3), 60: (12, 5)}
+SIZES = {10: (5, 2), 30: (10, 3), 60: (12, 5), 200: (20, 10)}
 _LEVEL = LEVELS["medium"]
-# The second frame: the same view, the detector's noise drawn again.
 _FALSE = 0.05
+# 200 buttons fit into a picture where they are half as far apart.
+_MANY, _CLOSER, _CLOSEST_PX = 200, 0.5, 6.0
 
 
 @dataclass(frozen=True)
@@ -34,28 +37,30 @@ class Times:
     accepted: bool
 
 
-def timed(task: tuple[str, int, int, int]) -> Times:
-    """Time one draw: (method, detections, seed, number)."""
-    method, size, seed, number = task
-    config = with_values(Config(), {"method": method})
-    first, second = _frames(size, np.random.default_rng([seed, number, size]))
+def timed(task: tuple[str, bool, int, int, int]) -> Times:
+    """Time one draw: (method, with a picture, detections, seed, number)."""
+    method, with_picture, size, seed, number = task
+    config, rng = with_values(Config(), {"method": method}), np.random.default_rng([seed, number, size])
+    first, second = _frames(size, rng)
+    image = photograph(first, rng, random_taking(rng)) if with_picture else None
     start = time.perf_counter()
-    fit = fit_panel(first.centres_px, first.camera, config)
+    fit = fit_panel(first.detections, first.camera, config, image=image)
     middle = time.perf_counter()
-    fit_panel(second.centres_px, second.camera, config, previous=fit)
+    fit_panel(second.detections, second.camera, config, previous=fit, image=image)
     end = time.perf_counter()
     return Times(1e3 * (middle - start), 1e3 * (end - middle) if fit.ok else float("nan"), fit.ok)
 
 
 def _frames(size: int, rng: np.random.Generator) -> tuple[Scene, Scene]:
-    """Return two noisy looks at one panel of `size` buttons from a viewpoint of the medium level."""
+    """Return two looks at one panel from one viewpoint of the medium level, the detector's noise drawn anew."""
     rows, columns = SIZES[size]
-    panel = regular_panel(rows, columns, PITCH_M * float(np.exp(rng.normal(0.0, 0.2))))
+    pitch_m = PITCH_M * float(np.exp(rng.normal(0.0, 0.2))) * (_CLOSER if size == _MANY else 1.0)
+    panel = dressed(regular_panel(rows, columns, pitch_m), rng, held_out=True)
     detector = DetectorModel(_LEVEL.sigma_px, false=_FALSE)
     while True:
         view = random_view(_LEVEL, rng)
         first, second = (make_scene(panel, paper_camera(), view, detector, rng) for _ in range(2))
-        if closest(first.pixels) >= 10.0:
+        if closest(first.pixels) >= (_CLOSEST_PX if size == _MANY else 10.0):
             return first, second
 
 
@@ -80,18 +85,21 @@ def measurement_line(seed: int, yardstick: float, trials: int = 20) -> str:
 
 
 def timing_table(method: str, trials: int, seed: int, yardstick: float) -> str:
-    """Return the table of times in yardsticks."""
-    lines = [
-        f"{method:<10}{'N':>4}{'scratch med':>13}{'p95':>7}{'tracked med':>13}{'p95':>7}{'accept':>8}   in yardsticks"
-    ]
-    for size in SIZES:
-        tasks = [(method, size, seed, n) for n in range(trials)]
-        results = parallel(timed, tasks, f"time of {size}", workers=1)
-        scratch = np.array([t.scratch_ms for t in results]) / yardstick
-        tracked = np.array([t.tracked_ms for t in results]) / yardstick
-        accepted = np.mean([t.accepted for t in results])
-        lines.append(
-            f"{'':<10}{size:>4}{np.median(scratch):>13.1f}{np.percentile(scratch, 95):>7.1f}"
-            f"{np.nanmedian(tracked):>13.2f}{np.nanpercentile(tracked, 95):>7.2f}{accepted:>8.2f}"
-        )
-    return "\n".join(lines)
+    """Return the table of times in yardsticks: of fits to boxes, and to boxes and picture."""
+    warm_up(Config())
+    by = "compiled with numba" if COMPILED else "NumPy alone"
+    head = f"{by:<20}{'N':>4}{'scratch med':>13}{'p95':>7}{'tracked med':>13}{'p95':>7}{'accept':>8}   in yardsticks"
+    return "\n".join([head, *(_line(method, p, n, trials, seed, yardstick) for p in (False, True) for n in SIZES)])
+
+
+def _line(method: str, with_picture: bool, size: int, trials: int, seed: int, yardstick: float) -> str:
+    name = "boxes and picture" if with_picture else "boxes"
+    tasks = [(method, with_picture, size, seed, n) for n in range(trials)]
+    results = parallel(timed, tasks, f"{name}, {size}", workers=1)
+    scratch = np.array([t.scratch_ms for t in results]) / yardstick
+    tracked = np.array([t.tracked_ms for t in results]) / yardstick
+    accepted = np.mean([t.accepted for t in results])
+    return (
+        f"{name:<20}{size:>4}{np.median(scratch):>13.1f}{np.percentile(scratch, 95):>7.1f}"
+        f"{np.nanmedian(tracked):>13.2f}{np.nanpercentile(tracked, 95):>7.2f}{accepted:>8.2f}"
+    )

@@ -133,8 +133,10 @@ def known_well(found: FitResult, config: Config, least: float) -> FitResult:
 
 def sideways_std(found: FitResult) -> float:
     """Return the largest standard deviation across the line of sight of any filled cell, in the fit's unit."""
-    cells = np.unique(found.cells[found.cells[:, 0] >= 0], axis=0)
-    places = found.grid_panel[cells[:, 0], cells[:, 1]]
+    filled = np.zeros((found.rows, found.columns), dtype=bool)
+    row, column = found.cells[found.cells[:, 0] >= 0].T
+    filled[row, column] = True
+    places = found.grid_panel[filled]
     point = places @ found.R_camera_panel[:, :2].T + found.t_camera_panel
     sight = point / np.linalg.norm(point, axis=1, keepdims=True)
     across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
