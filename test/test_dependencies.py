@@ -11,7 +11,8 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "elevator_rectify"
 # A room may import itself and the rooms of the rows above its own, never those beside or below it.
 ROWS = (
-    ("core.types", "core.config", "core.compiled"),
+    ("core.types", "core.config"),
+    ("core.compiled",),
     ("core.geometry",),
     ("core.detections", "core.paper", "core.lattice", "core.reading", "core.view", "core.detector", "core.lamps"),
     ("core.confidence", "core.track", "core.self_calibration"),

@@ -11,6 +11,10 @@ import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import numpy as np
+
+from elevator_rectify.core.types import Array
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 SWITCH = "ELEVATOR_RECTIFY_NUMBA"
 
@@ -37,6 +41,13 @@ def compiled(function: _Function) -> _Function:
 def reordered(function: _Function) -> _Function:
     """Compile a function of long sums, whose terms may be added in any order: several at once."""
     return _compiled(function, fastmath={"reassoc", "contract"})
+
+
+def plain(array: Any) -> Array:
+    """Return the array as kernels take it: contiguous, of double precision, not read-only. Of another type of argument
+    numba would compile the kernel again, for seconds."""
+    given = np.ascontiguousarray(array, dtype=np.float64)
+    return given if given.flags.writeable else given.copy()
 
 
 def _compiled(function: _Function, **options: Any) -> _Function:

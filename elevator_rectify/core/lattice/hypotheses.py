@@ -146,7 +146,7 @@ def _around(rays: Array, origins: Array) -> tuple[NDArray[np.float32], IntArray]
         distance2 = (offset**2).sum(axis=2)
         nearest = np.argpartition(distance2, _NEAREST_POINTS, axis=1)[:, :_NEAREST_POINTS]
         offset = np.take_along_axis(offset, nearest[..., None], axis=1)
-    return offset.astype(np.float32), np.asarray(which, dtype=np.int64).ravel()
+    return np.ascontiguousarray(offset, dtype=np.float32), np.asarray(which, dtype=np.int64).ravel()
 
 
 def _diverse(support: Array, origins: Array, number: int) -> IntArray:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from elevator_rectify.core.compiled import COMPILED
+from elevator_rectify.core.compiled import COMPILED, plain
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.pose import LatticePose, cross_matrix
 from elevator_rectify.core.lattice import kernels
@@ -131,7 +131,7 @@ def _explained(pose: Poses, layout: Layout, rays: Array, sigma: float, area: flo
     """Do the work of `evaluate` by the compiled kernel."""
     cost = layout.cells, penalty(layout, config)
     node, inlier, own, total = kernels.explained(
-        *kernel_arguments(pose, layout), *cost, rays, sigma, area, settings(config)
+        *kernel_arguments(pose, layout), *cost, plain(rays), float(sigma), float(area), settings(config)
     )
     return LayoutFit(pose, layout, node, inlier, own, total)
 
@@ -202,8 +202,8 @@ def _refined(
     layout = fit.layout
     R, t, log_aspect, moves, node, inlier, own, total, depth = kernels.refined(
         *kernel_arguments(fit.pose, layout),
-        *(layout.cells, penalty(layout, config), rays, sigma, area, settings(config)),
-        *(fit.node, fit.inlier, fit.sigma, steps, _NO_SIZES if log_sizes is None else log_sizes),
+        *(layout.cells, penalty(layout, config), plain(rays), float(sigma), float(area), settings(config)),
+        *(fit.node, plain(fit.inlier), fit.sigma, steps, plain(_NO_SIZES if log_sizes is None else log_sizes)),
     )
     nats = 0.0 if log_sizes is None else size_nats(depth, log_sizes, inlier)
     return LayoutFit(posed(fit.pose, R, t, log_aspect), shifted(layout, moves), node, inlier, own, total, nats)
@@ -211,8 +211,8 @@ def _refined(
 
 def kernel_arguments(pose: Poses, layout: Layout) -> KernelArguments:
     """Return a pose and its layout as the kernels take them: of one type always, else they would be compiled again."""
-    R, t, centre = (np.ascontiguousarray(a[0], dtype=np.float64) for a in (pose.R, pose.t, pose.centre))
-    nodes = np.array(layout.nodes.reshape(-1, 2), dtype=np.float64)
+    R, t, centre = (plain(array[0]) for array in (pose.R, pose.t, pose.centre))
+    nodes = plain(layout.nodes.reshape(-1, 2))
     breaks = np.array(layout.row_breaks, dtype=np.int64), np.array(layout.column_breaks, dtype=np.int64)
     return R, t, float(pose.log_aspect[0]), centre, nodes, len(layout.columns), *breaks
 

@@ -119,14 +119,14 @@ def steps_towards(
     huber: float,
     set_: Array,
 ) -> tuple[Array, Array, Array]:
-    """As a step of `refinement.towards`: R (B, 3, 3), t (B, 3) and ln aspect (B,)."""
+    """As a step of `refinement.towards`: R (B, 3, 3), t (B, 3) and ln aspect (B,). rays: (B, N, 2)."""
     new_R, new_t, new_aspect = np.empty_like(R), np.empty_like(t), np.empty_like(log_aspect)
     J, d_uv, error = np.zeros((2, 7)), np.empty((2, 2)), np.empty(2)
     for b in range(len(R)):
         x, arm, depth = projected(R[b], t[b], log_aspect[b], centre[b], cells[b])
         normal, gradient = np.zeros((7, 7)), np.zeros(7)
-        for n in range(len(rays)):
-            error[0], error[1] = rays[n, 0] - x[n, 0], rays[n, 1] - x[n, 1]
+        for n in range(len(x)):
+            error[0], error[1] = rays[b, n, 0] - x[n, 0], rays[b, n, 1] - x[n, 1]
             weight = inlier[b, n] / max(1.0, math.hypot(error[0], error[1]) / huber) / sigma[b] ** 2
             if weight == 0.0:
                 continue

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.compiled import COMPILED
+from elevator_rectify.core.compiled import COMPILED, plain
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.lattice import kernels
@@ -135,7 +135,7 @@ def box_cells(cells: Array, inlier: Array) -> Array:
 def connected(cells: Array, inlier: Array) -> Array:
     """Return the inliers (B, N) that have another one, of another cell, within two cells: far ones are chance."""
     if COMPILED:
-        return kernels.connected(np.ascontiguousarray(cells), np.ascontiguousarray(inlier))
+        return kernels.connected(plain(cells), plain(inlier))
     u, v = cells[..., 0].astype(np.float32), cells[..., 1].astype(np.float32)
     du, dv = np.abs(u[:, :, None] - u[:, None]), np.abs(v[:, :, None] - v[:, None])
     near = (du <= CONNECTED_CELLS) & (dv <= CONNECTED_CELLS) & (du + dv > 0) & (inlier > 0.5)[:, None, :]
@@ -196,8 +196,9 @@ def _by_kernel(
     poses: Poses, cells: Array, inlier: Array, rays: Array, sigma: Array, config: JointConfig, huber: float
 ) -> Poses:
     """Do the work of `towards` by the compiled kernel."""
-    arrays = (poses.R, poses.t, poses.log_aspect, poses.centre, cells, rays, inlier, sigma)
-    R, t, log_aspect, centre, cells, rays, inlier, sigma = (np.ascontiguousarray(a, dtype=np.float64) for a in arrays)
+    rays = np.broadcast_to(rays, cells.shape)
+    given = (poses.R, poses.t, poses.log_aspect, poses.centre, cells, rays, inlier, sigma)
+    R, t, log_aspect, centre, cells, rays, inlier, sigma = (plain(array) for array in given)
     R, t, log_aspect = steps_towards(
         R, t, log_aspect, centre, cells, rays, inlier, sigma, float(huber), settings(config)
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from elevator_rectify.core.compiled import COMPILED
+from elevator_rectify.core.compiled import COMPILED, plain
 from elevator_rectify.core.config import Config, JointConfig
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.lattice.layout import LayoutFit, design, kernel_arguments, moved, posed, shifted
@@ -153,14 +153,14 @@ def _moved_to(fit: LayoutFit, rays: Array, weight: Array, config: JointConfig, s
 def _by_kernel(fit: LayoutFit, rays: Array, weight: Array, config: JointConfig, steps: int) -> LayoutFit:
     """Do the work of `_moved_to` by the compiled kernel."""
     arguments, set_ = kernel_arguments(fit.pose, fit.layout), settings(config)
-    R, t, log_aspect, moves = placed(*arguments, fit.node, rays, weight, set_, steps)
+    R, t, log_aspect, moves = placed(*arguments, fit.node, plain(rays), plain(weight), set_, steps)
     return replace(fit, pose=posed(fit.pose, R, t, log_aspect), layout=shifted(fit.layout, moves))
 
 
 def _in_lattice(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
     """Return error (M, 2) and Jacobian (M, 2, P) of the places in pitches, and d(ray) / d(column, row) (M, 2, 2)."""
     if COMPILED:
-        return in_lattice(*kernel_arguments(fit.pose, fit.layout), fit.node, rays)
+        return in_lattice(*kernel_arguments(fit.pose, fit.layout), fit.node, plain(rays))
     error, J, d_uv = design(fit, rays)
     both = np.linalg.solve(d_uv, np.concatenate([error[..., None], J], axis=-1))
     return both[..., 0], both[..., 1:], d_uv
