@@ -276,7 +276,12 @@ class TargetConfig(Checked):
 class NetworkConfig(Checked):
     """Our own detector and reader."""
 
-    detector_side_px: int = value(640, "the picture's longer side as the detector sees it", low=128, high=4096)
+    detector_side_px: int = value(
+        640,
+        "the picture's longer side as the detector sees it; larger ones get a second look if they show hardly a button",
+        low=128,
+        high=4096,
+    )
     min_score: float = value(0.4, "buttons that are less probable are left out", low=0.0, high=1.0)
     min_score_few: float = value(
         0.65, "the same where fewer than six are found: no lattice tells them from other things then", low=0.0, high=1.0

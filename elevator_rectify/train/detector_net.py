@@ -53,7 +53,8 @@ class DetectorNet(nn.Module):
         self.from_16 = convolution(192, 108, size=1)
         self.at_8 = Separable(108, 108)
         self.from_8 = convolution(108, 48, size=1)
-        self.at_4 = nn.Sequential(convolution(48, 48), convolution(48, 64))
+        # At this resolution a full convolution costs as much as all that comes before it.
+        self.at_4 = nn.Sequential(Separable(48, 64), Separable(64, 64))
         self.head = nn.Conv2d(64, 6, 1)
         self.up = nn.Upsample(scale_factor=2, mode="nearest")
         nn.init.constant_(self.head.bias, 0.0)

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from elevator_rectify.train.checkpoint import Checkpoint
 from elevator_rectify.train.schedule import Average, learning_rate
+from elevator_rectify.train.start import begin_with
 
 Batch = tuple[Tensor, ...]
 Draw = Callable[[np.random.Generator], Batch]
@@ -26,12 +27,17 @@ _draw: Draw
 # Batches drawn ahead.
 _AHEAD = 4
 _LARGEST_GRADIENT, _TOLD_EVERY = 5.0, 100
+# Batches that show the normalisations of an exported network what their inputs are.
+_SHOWN = 20
 
 
 def add_training(parser: argparse.ArgumentParser, name: str, steps: int, batch: int, rate: float) -> None:
     """Add the arguments of every training; name: of the checkpoint's file."""
     parser.add_argument("data", type=Path, help="folder with panels_labelled.json and pictures/")
     parser.add_argument("--checkpoint", type=Path, default=Path(f"{name}.pt"), help="is resumed where it exists")
+    parser.add_argument(
+        "--start", type=Path, metavar="ONNX", help="exported network to begin with, without a checkpoint"
+    )
     parser.add_argument("--steps", type=int, default=steps, help="steps in all, those before a resumption too")
     parser.add_argument("--batch", type=int, default=batch)
     parser.add_argument("--rate", type=float, default=rate, help="highest learning rate")
@@ -68,6 +74,12 @@ def train(
     net: torch.nn.Module, draw: Draw, loss_of: Callable[[Batch], Tensor], args: argparse.Namespace, decay: float
 ) -> None:
     """Train from the checkpoint where there is one. draw: draws a batch; loss_of: the network's loss on it."""
+    # OpenCV's threads, once begun, would not be there in the process that draws ahead, which would wait for them.
+    cv2.setNumThreads(1)
+    if args.start is not None and not args.checkpoint.exists():
+        shown = (draw(np.random.default_rng([args.seed, args.steps + k]))[0] for k in range(_SHOWN))
+        new = begin_with(net, args.start, shown)
+        print(f"begun with {args.start}, new: {', '.join(new) or 'nothing'}", flush=True)
     # Convolutions on a processor are one and a half to two times as fast with the channels last.
     net.to(memory_format=torch.channels_last)
     average = Average(net)

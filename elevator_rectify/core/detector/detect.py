@@ -1,4 +1,5 @@
-"""Find the buttons of a picture: one pass over all of it, a finer one over the panel where its buttons are small."""
+"""Find the buttons of a picture: one pass over all of it, a second one where it shows hardly any, a finer one over the
+panel where its buttons are small."""
 
 from __future__ import annotations
 
@@ -11,21 +12,25 @@ import numpy as np
 from elevator_rectify.core.config import NetworkConfig
 from elevator_rectify.core.detector.network import heat_map
 from elevator_rectify.core.detector.peaks import Boxes, peaks, probabilities, suppressed
-from elevator_rectify.core.types import Array, Detection, Image
+from elevator_rectify.core.types import Array, BoolArray, Detection, Image
 
 # Written by `calibrate --detector`: how probable a peak of some heat is a button.
 SCORES = Path(__file__).with_name("scores.json")
 DEFAULT_NETWORK = NetworkConfig()
 # Below this side in the network's input buttons are worth a finer look; then they are brought to about that side.
-_SMALL_PX, _FINE_PX = 18.0, 28.0
+_SMALL_PX, _FINE_PX = 22.0, 30.0
 # The finer pass takes a region of so many times the boxes' extent, where at least so many surely are.
 _MARGIN, _FEWEST, _SURE = 0.15, 3, 0.3
 # Pictures are not enlarged beyond what the network has learnt from.
 _LARGEST_SCALE = 2.5
-# With fewer buttons there is no lattice that would tell them from other things.
-_FEW = 6
 # It costs no more than this many of the first pass's pixels.
 _MOST_AREA = 3.0
+# Where hardly a button is seen, a larger picture is looked at again at so many times the scale, but not enlarged.
+_AGAIN = 1.4
+# A pass at less than so many times the scale of the one before shows nothing new.
+_FINER = 1.2
+# With fewer buttons there is no lattice that would tell them from other things.
+_FEW = 6
 
 
 @cache
@@ -53,9 +58,12 @@ def detect_buttons(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> lis
 
 
 def find_boxes(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
-    """Return all boxes of both passes, other things too."""
+    """Return all boxes of all passes, other things too."""
     scale = min(config.detector_side_px / max(image.shape[:2]), _LARGEST_SCALE)
     found = peaks(heat_map(image, scale))
+    again = min(1.0, _AGAIN * scale)
+    if _sure(found).sum() < _FEWEST and again > _FINER * scale:
+        scale, found = again, peaks(heat_map(image, again))
     region = _small_region(found, scale, image)
     if region is None:
         return found
@@ -65,9 +73,14 @@ def find_boxes(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
     return _joined(found, moved, np.array([x0, y0, x1, y1], dtype=float))
 
 
+def _sure(found: Boxes) -> BoolArray:
+    """Return (N,) which boxes surely are buttons."""
+    return found.is_button & (found.heat > _SURE)
+
+
 def _small_region(found: Boxes, scale: float, image: Image) -> tuple[tuple[int, int, int, int], float] | None:
     """Return the part of the picture and the scale of a finer pass, None where it is not needed or does not help."""
-    sure = found.is_button & (found.heat > _SURE)
+    sure = _sure(found)
     if sure.sum() < _FEWEST:
         return None
     boxes = found.boxes_px[sure]
@@ -81,7 +94,7 @@ def _small_region(found: Boxes, scale: float, image: Image) -> tuple[tuple[int, 
     x1, y1 = np.minimum(high + margin + 1.0, [width, height]).astype(int)
     most = np.sqrt(_MOST_AREA * scale**2 * height * width / max(1, (x1 - x0) * (y1 - y0)))
     finer = float(min(_FINE_PX / side, most, _LARGEST_SCALE))
-    return ((int(x0), int(y0), int(x1), int(y1)), finer) if finer > 1.2 * scale else None
+    return ((int(x0), int(y0), int(x1), int(y1)), finer) if finer > _FINER * scale else None
 
 
 def _joined(coarse: Boxes, fine: Boxes, region: Array) -> Boxes:
