@@ -1,7 +1,6 @@
 """Compiles the inner loops with numba where it is installed; without, NumPy does the same work, slower.
 
-Numba takes some 120 MB of memory and is found by importing it: the environment variable ELEVATOR_RECTIFY_NUMBA=0 leaves
-it out.
+Numba takes some 130 MB of memory; the environment variable ELEVATOR_RECTIFY_NUMBA=0 leaves it out.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ import numpy as np
 from elevator_rectify.core.types import Array
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-SWITCH = "ELEVATOR_RECTIFY_NUMBA"
+_SWITCH = "ELEVATOR_RECTIFY_NUMBA"
 
 
 def _numba() -> Any:
-    if os.environ.get(SWITCH, "1") == "0":
+    if os.environ.get(_SWITCH, "1") == "0":
         return None
     try:
         return importlib.import_module("numba")

@@ -15,8 +15,8 @@ from elevator_rectify.core.types import Detection, Image
 _PITCH_PX, _BUTTON_PX = 60.0, 36.0
 
 
-def warm_up(config: Config) -> None:
-    """Fit a drawn panel of 12 buttons, by its boxes, by its picture, and tracked."""
+def warm_up(config: Config, with_picture: bool = True) -> None:
+    """Fit a drawn panel of 12 buttons by its boxes, and by its picture if asked for, from scratch and tracked."""
     camera = Camera(np.array([[600.0, 0.0, 160.0], [0.0, 600.0, 160.0], [0.0, 0.0, 1.0]]), 320, 320)
     detections = [
         Detection(70.0 + _PITCH_PX * column, 70.0 + _PITCH_PX * row, _BUTTON_PX, _BUTTON_PX)
@@ -25,8 +25,7 @@ def warm_up(config: Config) -> None:
     ]
     # A panel that was taught is another one.
     config = replace(config, panel=replace(config.panel, file=""))
-    picture = _drawn(detections)
-    for image in (None, picture) if config.measurement.witness else (None,):
+    for image in (None, _drawn(detections)) if with_picture else (None,):
         fit = fit_panel(detections, camera, config, image=image)
         fit_panel(detections, camera, config, previous=fit, image=image)
 

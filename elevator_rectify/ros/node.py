@@ -76,7 +76,7 @@ class ElevatorRectify(Node):
         aliases()
         if COMPILED:
             self.get_logger().info("numba is installed: loads the compiled kernels, compiles them once in some 20 s")
-        warm_up(self.config)
+        warm_up(self.config, self.node_config.measure)
         self.add_on_set_parameters_callback(self._on_parameters)
         self.pairing = Pairing(self.node_config.pairing)
         self.statistics = Statistics()
