@@ -33,10 +33,10 @@ _HARDLY_SEEN, _LIKELY_HEAT = 0.3, 0.25
 # are off by more each, by their root mean square, are another picture's of much the same lattice (252 right panels have
 # .15 at most). So it is where this share of them is seen.
 _MOSTLY_SEEN, _COMMON_SHIFT, _OWN_SHIFT = 0.5, 0.2, 0.155
-# A picture in which so many things are seen over the number of boxes, or so many that have no box, can show buttons; of
-# right boxes more than such a share is at a thing, off by less than _WELL_PLACED of its size (the least of 320 right
-# panels, real and rendered, has .43; .6 would find no more of 199 mirrored, swapped or shifted ones). Where hardly a box
-# is at any of them, some things will do.
+# A picture in which so many things are seen over the number of boxes, or so many that have no box, can show buttons;
+# of right boxes more than such a share is at a thing, off by less than _WELL_PLACED of its size (the least of 320
+# right panels, real and rendered, has .43; .6 finds no more of 199 mirrored, swapped or shifted ones). Where hardly a
+# box is at any of them, some things will do.
 _SHOWS, _SHOWS_ELSEWHERE, _PLACED_SHARE, _WELL_PLACED = 0.6, 0.4, 0.4, 0.2
 _SOME, _NONE_SHARE = 4, 0.1
 # A picture is sharp where a hundredth of it has gradients like this (grey levels a pixel); a box is empty where the
