@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import os
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -34,6 +35,8 @@ PROGRAMS = {
 }
 # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
 _WHOLE_COMMAND = ("node", "lifecycle_node", "detector", "relay")
+# Threads make none of our small matrices faster, and their number changes last digits. BLAS reads it when it is loaded.
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 # What is wrong with a disk, or with the rights on it, and not with a program.
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS)
 # Packages that some programs need, and how to get them.
@@ -49,6 +52,8 @@ def run(name: str, command: list[str] | None = None) -> int:
     It is 3 where a package is missing, 1 where nothing can be written.
     """
     command = sys.argv if command is None else command
+    for variable, number in ONE_THREAD.items():
+        os.environ.setdefault(variable, number)
     try:
         program = importlib.import_module(PROGRAMS[name][0])
     except ModuleNotFoundError as error:

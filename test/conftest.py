@@ -6,6 +6,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from elevator_rectify.programs import ONE_THREAD
+
+# As the programs have it; NumPy is not loaded yet.
+os.environ.update(ONE_THREAD)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_DOMAIN_ID", "77")
 # Without it whole images are lost between processes.
