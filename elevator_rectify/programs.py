@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 from functools import partial
 
+from elevator_rectify.threads import ONE_THREAD
+
 # Program: module with a main(arguments) function, and what it is for.
 PROGRAMS = {
     "node": ("elevator_rectify.ros.node", "the ROS 2 node"),
@@ -35,8 +37,6 @@ PROGRAMS = {
 }
 # rclpy wants the full argument list (--ros-args and all), argparse the arguments only.
 _WHOLE_COMMAND = ("node", "lifecycle_node", "detector", "relay")
-# Threads make none of our small matrices faster, and their number changes last digits. BLAS reads it when it is loaded.
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 # What is wrong with a disk, or with the rights on it, and not with a program.
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS)
 # Packages that some programs need, and how to get them.

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from elevator_rectify.programs import ONE_THREAD
+from elevator_rectify.threads import ONE_THREAD
 
 # As the programs have it; NumPy is not loaded yet.
 os.environ.update(ONE_THREAD)

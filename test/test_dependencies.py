@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parent.parent / "elevator_rectify"
 # A room may import itself and the rooms of the rows above its own, never those beside or below it.
 ROWS = (
     ("core.types", "core.config"),
-    ("core.compiled",),
+    ("core.compiled", "core.robust"),
     ("core.geometry",),
     ("core.detections", "core.paper", "core.lattice", "core.reading", "core.view", "core.detector", "core.lamps"),
     ("core.confidence", "core.track", "core.self_calibration"),
@@ -24,7 +24,7 @@ ROWS = (
     ("core.pipeline",),
     ("core.find", "core.warm_up"),
     ("core",),
-    ("ros", "progress", "share", "train"),
+    ("ros", "progress", "share", "threads", "train"),
     ("arguments",),
     ("render",),
     ("recordings",),

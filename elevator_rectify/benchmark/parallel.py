@@ -10,6 +10,7 @@ from typing import TypeVar
 import cv2
 
 from elevator_rectify.progress import progress
+from elevator_rectify.threads import ONE_THREAD
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -26,6 +27,6 @@ def parallel(function: Callable[[T], R], tasks: Sequence[T], title: str, workers
     if len(tasks) <= _CHUNK:
         return list(progress(map(function, tasks), title, len(tasks)))
     # BLAS reads it when it is loaded: the workers are fresh interpreters.
-    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+    os.environ.update(ONE_THREAD)
     with multiprocessing.get_context("spawn").Pool(workers or os.cpu_count(), _single_thread) as pool:
         return list(progress(pool.imap(function, tasks, chunksize=_CHUNK), title, len(tasks)))

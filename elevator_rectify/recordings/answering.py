@@ -28,6 +28,7 @@ from elevator_rectify.ros.config import NodeConfig, PairingConfig
 from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.output import TOPICS, output_messages
 from elevator_rectify.ros.pairing import Frame, Pairing
+from elevator_rectify.threads import ONE_THREAD
 
 _SINGLE_IMAGES = NodeConfig(track=False)
 # Answers that a worker may be ahead by; looked after a worker so often.
@@ -108,7 +109,7 @@ def _by_workers(path: Path, topics: InputTopics, config: Config, workers: int) -
     context = multiprocessing.get_context("spawn")
     queues = [context.Queue(_AHEAD) for _ in range(workers)]
     # BLAS reads it when it is loaded: the workers are fresh interpreters.
-    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+    os.environ.update(ONE_THREAD)
     processes = [
         context.Process(target=_work, args=(path, topics, config, k, workers, queues[k]), daemon=True)
         for k in range(workers)

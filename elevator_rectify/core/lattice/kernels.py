@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,28 +94,29 @@ def log_prior(R: Array, log_aspect: float, set_: Array) -> float:
     return float(-0.5 * (ratio**2 + steep**2 + turned**2))
 
 
+class PosedLayout(NamedTuple):
+    """A pose and the layout that it is of, as the kernels take them.
+
+    R (3, 3), t (3,), ln aspect, centre (2,); lattice: (K, 2) where the nodes are, row by row of `columns` each; breaks:
+    before which rows and columns.
+    """
+
+    R: Array
+    t: Array
+    log_aspect: float
+    centre: Array
+    lattice: Array
+    columns: int
+    row_breaks: IntArray
+    column_breaks: IntArray
+
+
 @compiled
 def explained(
-    R: Array,
-    t: Array,
-    log_aspect: float,
-    centre: Array,
-    lattice: Array,
-    columns: int,
-    row_breaks: IntArray,
-    column_breaks: IntArray,
-    cells: float,
-    penalty: float,
-    rays: Array,
-    sigma: float,
-    area: float,
-    set_: Array,
+    posed: PosedLayout, cells: float, penalty: float, rays: Array, sigma: float, area: float, set_: Array
 ) -> tuple[IntArray, Array, float, float]:
-    """As `layout.evaluate`: nodes (N,), inlier (N,), sigma and log likelihood.
-
-    lattice: (K, 2) where the nodes are, row by row of `columns` each; breaks: before which rows and columns.
-    """
-    at = projected(R, t, log_aspect, centre, lattice)[0]
+    """As `layout.evaluate`: nodes (N,), inlier (N,), sigma and log likelihood."""
+    at = projected(posed.R, posed.t, posed.log_aspect, posed.centre, posed.lattice)[0]
     node, error2 = np.empty(len(rays), dtype=np.int64), np.empty(len(rays))
     for n in range(len(rays)):
         best = np.inf
@@ -129,24 +131,68 @@ def explained(
     own = own_sigma(error2, inlier, sigma)
     likelihood = mixture(error2, cells, own, area, set_[0], inlier)
     empty = max(0.0, cells - inlier.sum())
-    return node, inlier, own, likelihood + log_prior(R, log_aspect, set_) - penalty - set_[5] * empty
+    return node, inlier, own, likelihood + log_prior(posed.R, posed.log_aspect, set_) - penalty - set_[5] * empty
 
 
 @compiled
-def moved(
-    lattice: Array, columns: int, row_breaks: IntArray, column_breaks: IntArray, steps: Array
-) -> tuple[Array, Array]:
-    """As `layout.moved`, the nodes (K, 2) themselves; and the steps, bounded."""
-    new, bounded = lattice.copy(), np.empty(len(steps))
-    for b in range(len(steps)):
-        bounded[b] = min(max(steps[b], -0.3), 0.3)
-        for k in range(len(new)):
-            if b < len(row_breaks):
-                if k // columns >= row_breaks[b]:
-                    new[k, 1] += bounded[b]
-            elif k % columns >= column_breaks[b - len(row_breaks)]:
-                new[k, 0] += bounded[b]
-    return new, bounded
+def design(posed: PosedLayout, node: IntArray, rays: Array) -> tuple[Array, Array, Array]:
+    """As `layout.design`: error (N, 2), Jacobian (N, 2, P) and d/d(u, v) (N, 2, 2)."""
+    N, B, P = len(node), len(posed.row_breaks), 7 + len(posed.row_breaks) + len(posed.column_breaks)
+    at = posed.lattice[node]
+    x, arm, depth = projected(posed.R, posed.t, posed.log_aspect, posed.centre, at)
+    J, d_uv = np.zeros((N, 2, P)), np.empty((N, 2, 2))
+    for n in range(N):
+        jacobian(posed.R, posed.log_aspect, posed.centre, at[n], x[n], arm[n], depth[n], J[n], d_uv[n])
+        for b in range(P - 7):
+            if behind(posed, node[n], b):
+                J[n, :, 7 + b] = d_uv[n, :, 1 if b < B else 0]
+    return rays - x, J, d_uv
+
+
+@compiled
+def behind(posed: PosedLayout, node: int, b: int) -> bool:
+    """Tell whether a node moves with break b, of those of the rows and then of the columns."""
+    B = len(posed.row_breaks)
+    if b < B:
+        return bool(node // posed.columns >= posed.row_breaks[b])
+    return bool(node % posed.columns >= posed.column_breaks[b - B])
+
+
+@compiled
+def depths(posed: PosedLayout, node: IntArray) -> tuple[Array, Array]:
+    """As `layout.depths`: depth (N,) of each detection's node and its derivative (N, P)."""
+    B, P = len(posed.row_breaks), 7 + len(posed.row_breaks) + len(posed.column_breaks)
+    at = posed.lattice[node]
+    _, arm, depth = projected(posed.R, posed.t, posed.log_aspect, posed.centre, at)
+    down, along, d_depth = posed.R[2, 1] * math.exp(posed.log_aspect), posed.R[2, 0], np.zeros((len(node), P))
+    for n in range(len(node)):
+        d_depth[n, 2], d_depth[n, 3], d_depth[n, 4] = 1.0, arm[n, 1], -arm[n, 0]
+        d_depth[n, 6] = down * (at[n, 1] - posed.centre[1])
+        for b in range(P - 7):
+            if behind(posed, node[n], b):
+                d_depth[n, 7 + b] = down if b < B else along
+    return depth, d_depth
+
+
+@compiled
+def advanced(posed: PosedLayout, normal: Array, gradient: Array, set_: Array) -> tuple[PosedLayout, Array, Array]:
+    """Return pose and nodes after the step that the information (P, P) and gradient (P,) of the data and the aspect's
+    prior ask for; the step (P,), and by how much it moved the breaks, bounded as by `layout.moved`."""
+    normal[6, 6] += 1.0 / set_[2] ** 2
+    gradient[6] -= (posed.log_aspect - set_[1]) / set_[2] ** 2
+    for i in range(len(gradient)):
+        normal[i, i] += 1e-6 + 1e-5 * normal[i, i]
+    step = solved(normal, gradient)
+    R, t, log_aspect = stepped(posed.R, posed.t, posed.log_aspect, step)
+    lattice, B = posed.lattice.copy(), len(posed.row_breaks)
+    bounded = np.minimum(np.maximum(step[7:], -0.3), 0.3)
+    for b in range(len(bounded)):
+        for k in range(len(lattice)):
+            if behind(posed, k, b):
+                lattice[k, 1 if b < B else 0] += bounded[b]
+    columns, row_breaks, column_breaks = posed.columns, posed.row_breaks, posed.column_breaks
+    new = PosedLayout(R, t, log_aspect, posed.centre, lattice, columns, row_breaks, column_breaks)
+    return new, step, bounded
 
 
 @compiled
@@ -188,14 +234,7 @@ def add_sizes(depth: Array, d_depth: Array, log_sizes: Array, inlier: Array, nor
 
 @compiled
 def refined(
-    R: Array,
-    t: Array,
-    log_aspect: float,
-    centre: Array,
-    lattice: Array,
-    columns: int,
-    row_breaks: IntArray,
-    column_breaks: IntArray,
+    posed: PosedLayout,
     cells: float,
     penalty: float,
     rays: Array,
@@ -207,68 +246,30 @@ def refined(
     own: float,
     steps: int,
     log_sizes: Array,
-) -> tuple[Array, Array, float, Array, IntArray, Array, float, float, Array]:
-    """As `layout.refine_layout`: pose, by how much the breaks moved, nodes, inlier, sigma, log likelihood, and the
-    nodes' depths.
+) -> tuple[PosedLayout, Array, IntArray, Array, float, float, Array]:
+    """As `layout.refine_layout`: pose and nodes, by how much the breaks moved, nodes of the detections, inlier, sigma,
+    log likelihood, and the nodes' depths.
 
     log_sizes: (N,), or of length 0 where the boxes' sizes are left out.
     """
-    N, B = len(rays), len(row_breaks)
-    P = 7 + B + len(column_breaks)
+    P = 7 + len(posed.row_breaks) + len(posed.column_breaks)
     likelihood, moves = 0.0, np.zeros(P - 7)
-    J, d_uv, d_depth = np.zeros((2, P)), np.empty((2, 2)), np.zeros((N, P))
     for _ in range(steps):
-        at = lattice[node]
-        x, arm, depth = projected(R, t, log_aspect, centre, at)
+        error, J, _d = design(posed, node, rays)
         normal, gradient = np.zeros((P, P)), np.zeros(P)
-        down, along = R[2, 1] * math.exp(log_aspect), R[2, 0]
-        for n in range(N):
-            jacobian(R, log_aspect, centre, at[n], x[n], arm[n], depth[n], J, d_uv)
-            row, column = node[n] // columns, node[n] % columns
-            for b in range(P - 7):
-                after = row >= row_breaks[b] if b < B else column >= column_breaks[b - B]
-                for k in range(2):
-                    J[k, 7 + b] = d_uv[k, 1 if b < B else 0] if after else 0.0
-                d_depth[n, 7 + b] = (down if b < B else along) if after else 0.0
-            d_depth[n, 2], d_depth[n, 3], d_depth[n, 4] = 1.0, arm[n, 1], -arm[n, 0]
-            d_depth[n, 6] = down * (at[n, 1] - centre[1])
+        for n in range(len(rays)):
             weight = inlier[n] / own**2
             for k in range(2):
-                error = rays[n, k] - x[n, k]
                 for i in range(P):
-                    gradient[i] += weight * J[k, i] * error
-                    for j in range(i + 1):
-                        normal[i, j] += weight * J[k, i] * J[k, j]
-        for i in range(P):
-            for j in range(i):
-                normal[j, i] = normal[i, j]
-        normal[6, 6] += 1.0 / set_[2] ** 2
-        gradient[6] -= (log_aspect - set_[1]) / set_[2] ** 2
+                    gradient[i] += weight * J[n, k, i] * error[n, k]
+                    for j in range(P):
+                        normal[i, j] += weight * J[n, k, i] * J[n, k, j]
         if len(log_sizes):
+            depth, d_depth = depths(posed, node)
             add_sizes(depth, d_depth, log_sizes, inlier, normal, gradient)
-        for i in range(P):
-            normal[i, i] += 1e-6 + 1e-5 * normal[i, i]
-        step = solved(normal, gradient)
-        R, t, log_aspect = stepped(R, t, log_aspect, step)
-        lattice, bounded = moved(lattice, columns, row_breaks, column_breaks, step[7:])
+        posed, step, bounded = advanced(posed, normal, gradient, set_)
         moves += bounded
-        node, inlier, own, likelihood = explained(
-            R,
-            t,
-            log_aspect,
-            centre,
-            lattice,
-            columns,
-            row_breaks,
-            column_breaks,
-            cells,
-            penalty,
-            rays,
-            sigma,
-            area,
-            set_,
-        )
+        node, inlier, own, likelihood = explained(posed, cells, penalty, rays, sigma, area, set_)
         if np.abs(step).max() < SETTLED:
             break
-    depth = projected(R, t, log_aspect, centre, lattice[node])[2]
-    return R, t, log_aspect, moves, node, inlier, own, likelihood, depth
+    return posed, moves, node, inlier, own, likelihood, depths(posed, node)[0]

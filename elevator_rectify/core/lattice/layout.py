@@ -16,7 +16,7 @@ from elevator_rectify.core.compiled import COMPILED, plain
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.pose import LatticePose, cross_matrix
 from elevator_rectify.core.lattice import kernels
-from elevator_rectify.core.lattice.kernels import SETTLED
+from elevator_rectify.core.lattice.kernels import SETTLED, PosedLayout
 from elevator_rectify.core.lattice.pose_kernels import settings
 from elevator_rectify.core.lattice.refinement import (
     Poses,
@@ -32,8 +32,6 @@ from elevator_rectify.core.types import Array, IntArray
 
 _STEPS = 5
 _NO_SIZES = np.zeros(0)
-# R (3, 3), t (3,), ln aspect, centre (2,), nodes (K, 2), the number of columns, and the breaks in rows and columns.
-KernelArguments = tuple[Array, Array, float, Array, Array, int, IntArray, IntArray]
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def _explained(pose: Poses, layout: Layout, rays: Array, sigma: float, area: flo
     """Do the work of `evaluate` by the compiled kernel."""
     cost = layout.cells, penalty(layout, config)
     node, inlier, own, total = kernels.explained(
-        *kernel_arguments(pose, layout), *cost, plain(rays), float(sigma), float(area), settings(config)
+        posed_layout(pose, layout), *cost, plain(rays), float(sigma), float(area), settings(config)
     )
     return LayoutFit(pose, layout, node, inlier, own, total)
 
@@ -200,26 +198,26 @@ def _refined(
 ) -> LayoutFit:
     """Do the work of `refine_layout` by the compiled kernel."""
     layout = fit.layout
-    R, t, log_aspect, moves, node, inlier, own, total, depth = kernels.refined(
-        *kernel_arguments(fit.pose, layout),
+    posed, moves, node, inlier, own, total, depth = kernels.refined(
+        posed_layout(fit.pose, layout),
         *(layout.cells, penalty(layout, config), plain(rays), float(sigma), float(area), settings(config)),
         *(fit.node, plain(fit.inlier), fit.sigma, steps, plain(_NO_SIZES if log_sizes is None else log_sizes)),
     )
     nats = 0.0 if log_sizes is None else size_nats(depth, log_sizes, inlier)
-    return LayoutFit(posed(fit.pose, R, t, log_aspect), shifted(layout, moves), node, inlier, own, total, nats)
+    return LayoutFit(pose_of(posed, fit.pose), shifted(layout, moves), node, inlier, own, total, nats)
 
 
-def kernel_arguments(pose: Poses, layout: Layout) -> KernelArguments:
-    """Return a pose and its layout as the kernels take them: of one type always, else they would be compiled again."""
+def posed_layout(pose: Poses, layout: Layout) -> PosedLayout:
+    """Return a pose (batch of one) and its layout as the kernels take them."""
     R, t, centre = (plain(array[0]) for array in (pose.R, pose.t, pose.centre))
     nodes = plain(layout.nodes.reshape(-1, 2))
     breaks = np.array(layout.row_breaks, dtype=np.int64), np.array(layout.column_breaks, dtype=np.int64)
-    return R, t, float(pose.log_aspect[0]), centre, nodes, len(layout.columns), *breaks
+    return PosedLayout(R, t, float(pose.log_aspect[0]), centre, nodes, len(layout.columns), *breaks)
 
 
-def posed(pose: Poses, R: Array, t: Array, log_aspect: float) -> Poses:
-    """Return a pose (batch of one) with what a kernel made of it."""
-    return replace(pose, R=R[None], t=t[None], log_aspect=np.array([log_aspect]))
+def pose_of(posed: PosedLayout, before: Poses) -> Poses:
+    """Return the pose (batch of one) that a kernel made of the one before."""
+    return replace(before, R=posed.R[None], t=posed.t[None], log_aspect=np.array([posed.log_aspect]))
 
 
 def moved(layout: Layout, steps: Array) -> Layout:

@@ -18,9 +18,8 @@ from elevator_rectify.core.types import Array
 @lru_cache(maxsize=64)
 def settings(config: JointConfig) -> Array:
     """Return what the kernels need of the configuration."""
-    names = (config.inlier_share, config.log_aspect, config.log_aspect_std, config.max_usual_tilt_rad)
-    nats = (config.max_roll_rad, config.empty_nats, config.gap_nats, config.stagger_nats)
-    return np.array([*names, *nats])
+    of_aspect, of_pose = (config.log_aspect, config.log_aspect_std), (config.max_usual_tilt_rad, config.max_roll_rad)
+    return np.array([config.inlier_share, *of_aspect, *of_pose, config.empty_nats])
 
 
 @compiled

@@ -12,6 +12,7 @@ import numpy as np
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import jacobians_px
 from elevator_rectify.core.lattice.kernels import FARTHEST_SIZE, FEWEST_SIZES, MARGIN_SHARE, SIZE_STD, SLOPE_STD
+from elevator_rectify.core.robust import median
 from elevator_rectify.core.types import Array, FitResult, IntArray
 
 FEATURES = ("sizes' slope off over std", "sizes' slope known", "ln sizes' scatter")
@@ -128,14 +129,7 @@ def _line(x: Array, y: Array) -> tuple[float, float, float]:
         spread = max(float(weight @ dx**2), 1e-9)
         slope = float((weight * dx) @ dy) / spread
         residual = dy - slope * dx
-        # Of some dozen values sorting finds the median many times as fast as np.median.
-        usual = max(1.4826 * _middle(np.sort(np.abs(residual))), _LEAST_SCATTER)
+        usual = max(1.4826 * float(median(np.abs(residual))), _LEAST_SCATTER)
         scatter = np.sqrt(float(weight @ residual**2) / max(1.0, total - 2.0) + _LEAST_SCATTER**2)
         weight = 1.0 / (1.0 + (residual / (2.0 * usual)) ** 2)
     return slope, float(scatter / np.sqrt(spread)), float(scatter)
-
-
-def _middle(ordered: Array) -> float:
-    """Return the median of ordered values."""
-    half = len(ordered) // 2
-    return float(ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2.0)

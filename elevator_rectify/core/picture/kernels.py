@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elevator_rectify.core.compiled import compiled, reordered
-from elevator_rectify.core.lattice.kernels import moved
-from elevator_rectify.core.lattice.pose_kernels import jacobian, projected, solved, stepped
+from elevator_rectify.core.lattice.kernels import PosedLayout, advanced, design
+from elevator_rectify.core.lattice.pose_kernels import solved
 from elevator_rectify.core.types import Array, BoolArray, IntArray
 
 Floats = NDArray[np.float32]
@@ -24,39 +24,18 @@ REWEIGHTINGS, LEAST_GAIN = 2, 0.05
 
 
 @compiled
-def in_lattice(
-    R: Array,
-    t: Array,
-    log_aspect: float,
-    centre: Array,
-    lattice: Array,
-    columns: int,
-    row_breaks: IntArray,
-    column_breaks: IntArray,
-    node: IntArray,
-    rays: Array,
-) -> tuple[Array, Array, Array]:
+def in_lattice(posed: PosedLayout, node: IntArray, rays: Array) -> tuple[Array, Array, Array]:
     """As `measured._in_lattice`: errors (M, 2), Jacobians (M, 2, P) in pitches, and d(ray) / d(u, v) (M, 2, 2)."""
-    M, B = len(node), len(row_breaks)
-    P = 7 + B + len(column_breaks)
-    at = lattice[node]
-    x, arm, depth = projected(R, t, log_aspect, centre, at)
-    off, J, d_uv, error = np.empty((M, 2)), np.zeros((M, 2, P)), np.empty((M, 2, 2)), np.empty(2)
-    for n in range(M):
-        jacobian(R, log_aspect, centre, at[n], x[n], arm[n], depth[n], J[n], d_uv[n])
-        row, column = node[n] // columns, node[n] % columns
-        for b in range(P - 7):
-            after = row >= row_breaks[b] if b < B else column >= column_breaks[b - B]
-            for k in range(2):
-                J[n, k, 7 + b] = d_uv[n, k, 1 if b < B else 0] if after else 0.0
-        a, c, d, e = d_uv[n, 0, 0], d_uv[n, 0, 1], d_uv[n, 1, 0], d_uv[n, 1, 1]
-        determinant = a * e - c * d
-        error[0], error[1] = rays[n, 0] - x[n, 0], rays[n, 1] - x[n, 1]
-        off[n, 0], off[n, 1] = (e * error[0] - c * error[1]) / determinant, (a * error[1] - d * error[0]) / determinant
-        for i in range(P):
+    error, J, d_uv = design(posed, node, rays)
+    for n in range(len(node)):
+        a, b, c, d = d_uv[n, 0, 0], d_uv[n, 0, 1], d_uv[n, 1, 0], d_uv[n, 1, 1]
+        determinant = a * d - b * c
+        u, v = error[n, 0], error[n, 1]
+        error[n, 0], error[n, 1] = (d * u - b * v) / determinant, (a * v - c * u) / determinant
+        for i in range(J.shape[2]):
             u, v = J[n, 0, i], J[n, 1, i]
-            J[n, 0, i], J[n, 1, i] = (e * u - c * v) / determinant, (a * v - d * u) / determinant
-    return off, J, d_uv
+            J[n, 0, i], J[n, 1, i] = (d * u - b * v) / determinant, (a * v - c * u) / determinant
+    return error, J, d_uv
 
 
 @compiled
@@ -72,26 +51,13 @@ def huber(off: Array, weight: Array) -> Array:
 
 @compiled
 def placed(
-    R: Array,
-    t: Array,
-    log_aspect: float,
-    centre: Array,
-    lattice: Array,
-    columns: int,
-    row_breaks: IntArray,
-    column_breaks: IntArray,
-    node: IntArray,
-    rays: Array,
-    weight: Array,
-    set_: Array,
-    steps: int,
-) -> tuple[Array, Array, float, Array]:
-    """As `measured._moved_to`: the pose, and by how much the breaks moved. weight: (M, 2, 2) of each place."""
-    B = len(row_breaks)
-    P = 7 + B + len(column_breaks)
+    posed: PosedLayout, node: IntArray, rays: Array, weight: Array, set_: Array, steps: int
+) -> tuple[PosedLayout, Array]:
+    """As `measured._moved_to`: pose and nodes, and by how much the breaks moved. weight: (M, 2, 2) of each place."""
+    P = 7 + len(posed.row_breaks) + len(posed.column_breaks)
     half, moves = np.empty((P, 2)), np.zeros(P - 7)
     for _ in range(steps):
-        off, J, _d = in_lattice(R, t, log_aspect, centre, lattice, columns, row_breaks, column_breaks, node, rays)
+        off, J, _d = in_lattice(posed, node, rays)
         robust = huber(off, weight)
         normal, gradient = np.zeros((P, P)), np.zeros(P)
         for n in range(len(node)):
@@ -101,15 +67,9 @@ def placed(
                 gradient[i] += half[i, 0] * off[n, 0] + half[i, 1] * off[n, 1]
                 for j in range(P):
                     normal[i, j] += half[i, 0] * J[n, 0, j] + half[i, 1] * J[n, 1, j]
-        normal[6, 6] += 1.0 / set_[2] ** 2
-        gradient[6] -= (log_aspect - set_[1]) / set_[2] ** 2
-        for i in range(P):
-            normal[i, i] += 1e-6 + 1e-5 * normal[i, i]
-        step = solved(normal, gradient)
-        R, t, log_aspect = stepped(R, t, log_aspect, step)
-        lattice, bounded = moved(lattice, columns, row_breaks, column_breaks, step[7:])
+        posed, _s, bounded = advanced(posed, normal, gradient, set_)
         moves += bounded
-    return R, t, log_aspect, moves
+    return posed, moves
 
 
 @reordered

@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.core.compiled import COMPILED, plain
 from elevator_rectify.core.config import Config, JointConfig
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.lattice.layout import LayoutFit, design, kernel_arguments, moved, posed, shifted
+from elevator_rectify.core.lattice.layout import LayoutFit, design, moved, pose_of, posed_layout, shifted
 from elevator_rectify.core.lattice.pose_kernels import settings
 from elevator_rectify.core.lattice.refinement import jacobians, projected, stepped
 from elevator_rectify.core.picture.alignment import Boxes, Places, boxes_of, centred, joined, located, undetected
@@ -152,15 +152,15 @@ def _moved_to(fit: LayoutFit, rays: Array, weight: Array, config: JointConfig, s
 
 def _by_kernel(fit: LayoutFit, rays: Array, weight: Array, config: JointConfig, steps: int) -> LayoutFit:
     """Do the work of `_moved_to` by the compiled kernel."""
-    arguments, set_ = kernel_arguments(fit.pose, fit.layout), settings(config)
-    R, t, log_aspect, moves = placed(*arguments, fit.node, plain(rays), plain(weight), set_, steps)
-    return replace(fit, pose=posed(fit.pose, R, t, log_aspect), layout=shifted(fit.layout, moves))
+    given = posed_layout(fit.pose, fit.layout)
+    posed, moves = placed(given, fit.node, plain(rays), plain(weight), settings(config), steps)
+    return replace(fit, pose=pose_of(posed, fit.pose), layout=shifted(fit.layout, moves))
 
 
 def _in_lattice(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
     """Return error (M, 2) and Jacobian (M, 2, P) of the places in pitches, and d(ray) / d(column, row) (M, 2, 2)."""
     if COMPILED:
-        return in_lattice(*kernel_arguments(fit.pose, fit.layout), fit.node, plain(rays))
+        return in_lattice(posed_layout(fit.pose, fit.layout), fit.node, plain(rays))
     error, J, d_uv = design(fit, rays)
     both = np.linalg.solve(d_uv, np.concatenate([error[..., None], J], axis=-1))
     return both[..., 0], both[..., 1:], d_uv
