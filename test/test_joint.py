@@ -257,11 +257,27 @@ def test_focal_length_uncertainty_predicts_the_shift_that_a_wrong_one_causes() -
     truth = scene(3, tilt_deg=35.0)
     share = 0.02
     longer = Camera.from_matrix([[320 * (1 + share), 0, 320], [0, 320 * (1 + share), 240], [0, 0, 1]], 640, 480)
-    plain, wrong = fit_panel(truth.centres_px, CAMERA, EXACT), fit_panel(truth.centres_px, longer, EXACT)
+    sure = with_values(EXACT, {"joint.focal_std_share": 0.0})
+    plain, wrong = fit_panel(truth.centres_px, CAMERA, sure), fit_panel(truth.centres_px, longer, sure)
     unsure = fit_panel(truth.centres_px, CAMERA, with_values(EXACT, {"joint.focal_std_share": share}))
-    added = (unsure.covariance - plain.covariance) / Config().accept.covariance_scale
+    added = unsure.covariance - plain.covariance
     shift = np.linalg.norm(wrong.t_camera_panel - plain.t_camera_panel)
     assert np.sqrt(np.trace(added[:3, :3])) == pytest.approx(shift, rel=0.1)
+
+
+@pytest.mark.parametrize("k1", [0.02, -0.02])
+def test_lens_uncertainty_predicts_the_shift_that_a_wrong_one_causes(k1: float) -> None:
+    truth = scene(3, tilt_deg=35.0)
+    bent = Camera.from_matrix(CAMERA.matrix, CAMERA.width, CAMERA.height, [k1, 0.0, 0.0, 0.0])
+    sure = with_values(EXACT, {"joint.radial_std": 0.0})
+    plain, wrong = fit_panel(truth.centres_px, CAMERA, sure), fit_panel(truth.centres_px, bent, sure)
+    unsure = fit_panel(truth.centres_px, CAMERA, with_values(EXACT, {"joint.radial_std": abs(k1)}))
+    added = unsure.covariance - plain.covariance
+    shift = np.linalg.norm(wrong.t_camera_panel - plain.t_camera_panel)
+    turn = rotation_error_deg(wrong.R_camera_panel, plain.R_camera_panel)
+    # Linear: the curved lattice is fitted again, with others of its free lengths.
+    assert np.sqrt(np.trace(added[:3, :3])) == pytest.approx(shift, rel=0.25)
+    assert np.rad2deg(np.sqrt(np.trace(added[3:6, 3:6]))) == pytest.approx(turn, rel=0.25)
 
 
 def test_joint_config_is_used() -> None:

@@ -87,7 +87,7 @@ def _truth(picture: LabelledPicture) -> tuple[GridFit, Camera] | None:
             best = fit, camera
     if best is None or best[0].confidence < _SURE or best[0].inliers < _COMPLETE * len(detections):
         return None
-    return best if rotation_std_rad(best[0].covariance) < _EXACT_RAD else None
+    return best if rotation_std_rad(best[0].shape_covariance[:6, :6]) < _EXACT_RAD else None
 
 
 def _subsets(fit: GridFit, rng: np.random.Generator) -> Iterator[IntArray]:

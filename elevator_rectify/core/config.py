@@ -106,7 +106,10 @@ class JointConfig(Checked):
     camera_roll_rad: float = value(
         0.0, "roll of the camera about its axis: where the panel's rows point", low=-3.15, high=3.15
     )
-    focal_std_share: float = value(0.0, "standard deviation of the focal length over itself", low=0.0, high=0.5)
+    focal_std_share: float = value(0.03, "standard deviation of the focal length over itself", low=0.0, high=0.5)
+    radial_std: float = value(
+        0.02, "standard deviation of the lens's first radial coefficient, k1 of plumb_bob", low=0.0, high=0.5
+    )
     ambiguity_nats: float = value(3.0, "margin below which a second pose makes the fit ambiguous", low=0.0, high=100.0)
 
 

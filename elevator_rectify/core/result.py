@@ -20,10 +20,10 @@ from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import (
     LatticePose,
-    covariance_at,
     in_unit,
     pose_covariance,
     pose_from_homography,
+    residual_covariance_at,
     scale_pose_covariance,
 )
 from elevator_rectify.core.lattice.joint import JointFit
@@ -132,7 +132,10 @@ def known_well(found: FitResult, config: Config, least: float) -> FitResult:
 
 
 def sideways_std(found: FitResult) -> float:
-    """Return the largest standard deviation across the line of sight of any filled cell, in the fit's unit."""
+    """Return the largest standard deviation across the line of sight of any filled cell, in the fit's unit.
+
+    An error of the camera's calibration moves all cells alike: none is taken for its neighbour by it.
+    """
     filled = np.zeros((found.rows, found.columns), dtype=bool)
     row, column = found.cells[found.cells[:, 0] >= 0].T
     filled[row, column] = True
@@ -140,7 +143,7 @@ def sideways_std(found: FitResult) -> float:
     point = places @ found.R_camera_panel[:, :2].T + found.t_camera_panel
     sight = point / np.linalg.norm(point, axis=1, keepdims=True)
     across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
-    covariance = across @ covariance_at(found, places)[:, :3, :3] @ across
+    covariance = across @ residual_covariance_at(found, places)[:, :3, :3] @ across
     if not np.isfinite(covariance).all():
         return float("inf")
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance)[:, -1].max())))

@@ -108,17 +108,31 @@ def in_unit(covariance: Array, pitch: float) -> Array:
 def covariance_at(fit: FitResult, panel: Array) -> Array:
     """Return the covariance (K, 6, 6) of the pose at places (K, 2) on the panel, in the fit's unit.
 
-    The errors of the aspect and of the gaps move a place along the panel, that of the scale along its line of sight.
+    The errors of the aspect and of the gaps move a place along the panel, that of the scale along its line of sight;
+    those of the camera's calibration are in it too.
     """
+    found = residual_covariance_at(fit, panel)
+    point = panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+    found[:, :3, :3] += fit.scale_std_share**2 * point[:, :, None] * point[:, None, :]
+    moved = place_jacobian(fit, panel) @ fit.intrinsics_response if fit.intrinsics_response.size else np.zeros((6, 1))
+    return np.asarray(found + moved @ np.swapaxes(moved, -1, -2))
+
+
+def residual_covariance_at(fit: FitResult, panel: Array) -> Array:
+    """Return the covariance (K, 6, 6) of the pose at places (K, 2) on the panel that the residuals leave: without what
+    all frames have in common, the errors of scale and calibration."""
+    T = place_jacobian(fit, panel)
+    return np.asarray(T @ fit.shape_covariance @ np.swapaxes(T, 1, 2))
+
+
+def place_jacobian(fit: FitResult, panel: Array) -> Array:
+    """Return d(point, rotation) / d(t, rotation, shape) (K, 6, 6 + S) of places (K, 2) on the panel."""
     arm = panel @ fit.R_camera_panel[:, :2].T
     T = np.zeros((len(panel), 6, len(fit.shape_covariance)))
     T[:, :, :6] = np.eye(6)
     T[:, :3, 3:6] = -cross_matrix(arm)
     T[:, :3, 6:] = _shape_jacobian(fit, panel)
-    found = T @ fit.shape_covariance @ np.swapaxes(T, 1, 2)
-    point = arm + fit.t_camera_panel
-    found[:, :3, :3] += fit.scale_std_share**2 * point[:, :, None] * point[:, None, :]
-    return np.asarray(found)
+    return T
 
 
 def _shape_jacobian(fit: FitResult, panel: Array) -> Array:

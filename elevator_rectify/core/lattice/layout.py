@@ -271,7 +271,6 @@ def pose_at(
 
     rays: (N, 2) of what the fit's nodes were fitted to; weights: (N, 2, 2) the information of each, by default that of
     detections; log_sizes: (N,) of the boxes, where they were fitted to them too. `node` must lie before every break.
-    An error of the focal length scales all rays; its part is the fit's linear response to that.
     """
     _, J, _ = design(fit, rays)
     if weights is None:
@@ -282,8 +281,6 @@ def pose_at(
     if log_sizes is not None:
         normal += size_information(*depths(fit), log_sizes, fit.inlier)[0]
     inverse = np.linalg.inv(normal)
-    response = config.focal_std_share * (inverse @ (weighted @ rays[..., None]).sum(axis=0)[:, 0])
-    inverse = inverse + np.outer(response, response)
     R, aspect = fit.pose.R[0], float(np.exp(fit.pose.log_aspect[0]))
     offset = (np.asarray(node) - fit.pose.centre[0]) * np.array([1.0, aspect])
     arm = R[:, :2] @ offset
