@@ -95,9 +95,10 @@ def test_buttons_lie_where_they_are_on_the_panel() -> None:
 
 
 def test_a_label_that_is_read_once_is_found() -> None:
-    choice = find_button(fitted({}), " 07 ")
+    fit = fitted({})
+    choice = find_button(fit, " 07 ")
     assert choice.status == "found" and choice.button is not None and choice.button.label == "7"
-    assert lateral_std(choice.button) < 0.01
+    assert lateral_std(fit, choice.button) < 0.01
 
 
 def refusals() -> Sequence[tuple[str, GridFit, str]]:

@@ -270,7 +270,10 @@ class TargetConfig(Checked):
     )
     allow_inferred: bool = value(False, "buttons that were neither detected nor read may be pressed")
     max_lateral_std_m: float = value(
-        0.01, "largest standard deviation of a button's place across the pressing direction", low=0.0, high=1.0
+        0.01,
+        "largest standard deviation of a button's place across the pressing direction, the camera's calibration aside",
+        low=0.0,
+        high=1.0,
     )
     standoff_m: float = value(0.1, "distance of the approach pose from the button", low=0.0, high=2.0)
 

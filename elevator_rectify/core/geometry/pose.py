@@ -114,8 +114,8 @@ def covariance_at(fit: FitResult, panel: Array) -> Array:
     found = residual_covariance_at(fit, panel)
     point = panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
     found[:, :3, :3] += fit.scale_std_share**2 * point[:, :, None] * point[:, None, :]
-    moved = place_jacobian(fit, panel) @ fit.intrinsics_response if fit.intrinsics_response.size else np.zeros((6, 1))
-    return np.asarray(found + moved @ np.swapaxes(moved, -1, -2))
+    moved = moved_by_intrinsics(fit, panel)
+    return np.asarray(found + moved @ np.swapaxes(moved, 1, 2))
 
 
 def residual_covariance_at(fit: FitResult, panel: Array) -> Array:
@@ -123,6 +123,14 @@ def residual_covariance_at(fit: FitResult, panel: Array) -> Array:
     all frames have in common, the errors of scale and calibration."""
     T = place_jacobian(fit, panel)
     return np.asarray(T @ fit.shape_covariance @ np.swapaxes(T, 1, 2))
+
+
+def moved_by_intrinsics(fit: FitResult, panel: Array) -> Array:
+    """Return by how much (K, 6, 2) one standard deviation of the focal length, and of the lens's radial coefficient,
+    moves the pose at places (K, 2) on the panel."""
+    if not fit.intrinsics_response.size:
+        return np.zeros((len(panel), 6, 2))
+    return np.asarray(place_jacobian(fit, panel) @ fit.intrinsics_response)
 
 
 def place_jacobian(fit: FitResult, panel: Array) -> Array:

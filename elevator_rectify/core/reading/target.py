@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.core.config import TargetConfig
+from elevator_rectify.core.geometry.pose import moved_by_intrinsics
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.misread import is_number
@@ -154,14 +155,19 @@ def _placed(fit: GridFit, button: Button, config: TargetConfig) -> Choice:
     """Refuse a button whose place is not known well enough to press it."""
     if not fit.metric:
         return Choice(None, "unknown_scale", "the scale is unknown: set scale.column_pitch_m or use a depth image")
-    spread = lateral_std(button)
+    spread = lateral_std(fit, button)
     if spread > config.max_lateral_std_m:
         reason = f"{button.label} is known to {spread:.4f} m sideways, {config.max_lateral_std_m:g} allowed"
         return Choice(None, "uncertain", reason)
     return Choice(button, "found")
 
 
-def lateral_std(button: Button) -> float:
-    """Return the standard deviation of the button's place across the pressing direction, along the worse axis."""
+def lateral_std(fit: GridFit, button: Button) -> float:
+    """Return the standard deviation of the button's place across the pressing direction, along the worse axis.
+
+    Without the part of the camera's calibration: that moves its neighbours with it, and goes as the robot turns to it.
+    """
     across: Array = np.linalg.svd(button.normal[None])[2][1:]
-    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(across @ button.covariance @ across.T)[-1])))
+    moved = moved_by_intrinsics(fit, button.panel[None])[0, :3]
+    own = button.covariance - moved @ moved.T
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(across @ own @ across.T)[-1])))
