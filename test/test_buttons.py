@@ -128,6 +128,48 @@ def test_a_place_that_is_not_known_well_enough_is_refused() -> None:
     assert choice.status == "uncertain" and "sideways" in choice.reason
 
 
+def plated(swapped: int = 0, readings: bool = False) -> list[Detection]:
+    """A panel of two columns of plates, each with its buttons to the right: both are read; of so many the button as
+    another one."""
+    view, given = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3), []
+    for detection, button in zip(view.detections, view.button, strict=True):
+        row, column = divmod(int(button), 4)
+        floor = 12 - 2 * row + column // 2
+        read = str(floor + 1 if column % 2 and floor <= swapped else floor)
+        soft = ((read, 0.9),) if read == str(floor) else ((read, 0.6), (str(floor), 0.2))
+        given.append(replace(detection, label=read, score=0.9, readings=soft if readings else ()))
+    return given
+
+
+@pytest.mark.parametrize("readings", [False, True])
+def test_of_a_plate_and_its_button_the_button_is_pressed(readings: bool) -> None:
+    view = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3)
+    fit = fit_panel(plated(readings=readings), view.camera, METRIC)
+    for floor in range(2, 14):
+        choice = find_button(fit, str(floor))
+        assert choice.button is not None and choice.button.column % 2 == 1, (floor, choice.reason)
+        assert choice.button.row == (12 - floor + floor % 2) // 2
+    assert {b.label for b in fit.buttons if b.column % 2 == 0} == {"plate"}
+
+
+def test_a_misread_button_is_named_by_its_plate_too() -> None:
+    view = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3)
+    fit = fit_panel(plated(swapped=2, readings=True), view.camera, METRIC)
+    choice = find_button(fit, "2")
+    assert choice.button is not None and (choice.button.row, choice.button.column) == (5, 1)
+
+
+def test_two_pairs_are_no_plates() -> None:
+    fit = fitted({0: "30", 1: "30", 3: "31", 4: "31"})
+    assert "plate" not in {b.label for b in fit.buttons} and find_button(fit, "30").button is None
+
+
+def test_what_may_be_the_rear_doors_button_is_no_buttons_plate() -> None:
+    view = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3)
+    rear = [replace(d, readings=((d.label, 0.6), (d.label + "R", 0.3))) for d in plated()]
+    assert "plate" not in {b.label for b in fit_panel(rear, view.camera, METRIC).buttons}
+
+
 def test_a_second_reading_of_the_same_button_is_a_contradiction() -> None:
     """Two detectors on one button: the cell is the same, the labels are not."""
     given = labelled({})

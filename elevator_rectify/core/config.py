@@ -264,7 +264,12 @@ class LabelsConfig(Checked):
 class TargetConfig(Checked):
     """The button that is to be pressed."""
 
-    min_score: float = value(0.5, "a label that was read with a lower score is not pressed", low=0.0, high=1.0)
+    min_score: float = value(
+        0.5,
+        "a label that was read with a lower score is not pressed, unless our own reader's alternatives leave no other",
+        low=0.0,
+        high=1.0,
+    )
     min_probability: float = value(
         0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )

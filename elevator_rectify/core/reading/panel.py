@@ -10,6 +10,7 @@ from elevator_rectify.core.reading.filled import missed
 from elevator_rectify.core.reading.keypad import is_keypad, signs
 from elevator_rectify.core.reading.misread import is_number, right_alone
 from elevator_rectify.core.reading.places import PanelPlaces, places_of
+from elevator_rectify.core.reading.plates import without_plates
 from elevator_rectify.core.reading.sequence import Floors, floors_of
 from elevator_rectify.core.types import Array, BoolArray, FitResult
 
@@ -55,6 +56,7 @@ def read_panel(fit: FitResult) -> Reading:
     places = places_of(fit)
     if fit.known is not None:
         return _taught(fit, places)
+    places = without_plates(places)
     keypad = is_keypad(places)
     if keypad:
         places = replace(places, label=signs(places), readings=())

@@ -19,6 +19,8 @@ DEFAULT_TARGET = TargetConfig()
 _CANDIDATE = 0.1
 # The order alone does not overrule a label that is read with such a score.
 _NOT_OVERRULED = 0.98
+# A label that is read with a low score is believed where the whole panel makes it as sure as this.
+_BY_PANEL = 0.95
 # What digits read as upside down, and those that can only be read upright: they tell, if two buttons, and every
 # twelfth, have one that is surely read.
 _OVER = {"0": "0", "1": "1", "2": "2", "5": "5", "6": "9", "8": "8", "9": "6"}
@@ -91,7 +93,9 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
     if (button.detection < 0 or button.row < 0) and not as_read and not config.allow_inferred:
         reason = f"{name} was not read, only inferred from the others; target.allow_inferred is off"
         return Choice(None, "inferred_only", reason)
-    if as_read and not button.score >= config.min_score:
+    # A reading with all its alternatives is weighed by the whole panel: of 31 that it was so sure of, none was wrong.
+    weighed = probability >= _BY_PANEL and bool(fit.reading.places.read_at(_index_of(fit, button)))
+    if as_read and not button.score >= config.min_score and not weighed:
         return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
     if probability < config.min_probability:
         reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"

@@ -1,0 +1,106 @@
+"""Label plates beside their buttons: detectors box both, and both are read.
+
+Raised characters stand immediately to the left of their button (ADA Standards 407.4.7.1.2, ASME A17.1): where
+neighbours in a row are read alike, two by two, the left ones are plates, and what they say is the right ones' label.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from elevator_rectify.core.reading.places import PanelPlaces
+
+# What such a plate is called.
+PLATE = "plate"
+# So many pairs, and so large a share of all that is read, make a panel with plates; so near in lines are neighbours.
+_FEWEST_PAIRS, _LEAST_SHARE, _SAME_ROW, _NEXT = 3, 0.3, 0.35, 1.35
+# Two are read alike where they say the same with this probability.
+_ALIKE = 0.2
+# A label that may go on ('2' as '2R', of the rear door) is another one's.
+_LONGER = 0.02
+# Whatever is read may be anything else with this probability; labels below the other are not told.
+_ANYTHING, _TOLD = 0.02, 1e-3
+
+Readings = tuple[tuple[str, float], ...]
+
+
+def without_plates(places: PanelPlaces) -> PanelPlaces:
+    """Return the places with the plates named as such, and what both say as the reading of the button."""
+    neighbours = _neighbours(places)
+    pairs = [(left, right) for left, right in neighbours if _read_alike(places, left, right)]
+    read = sum(label != "" for label in places.label)
+    if len(pairs) < _FEWEST_PAIRS or 2 * len(pairs) < _LEAST_SHARE * read:
+        return places
+    # All in these columns are plates, also those that were misread.
+    columns = _columns(places, pairs)
+    label, score = list(places.label), places.score.copy()
+    readings = list(places.readings) or [()] * len(label)
+    for left, right in neighbours:
+        if (_column(places, left), _column(places, right)) not in columns:
+            continue
+        if not label[right]:
+            label[right], score[right] = label[left], score[left]
+        elif label[right] == label[left]:
+            score[right] = 1.0 - (1.0 - score[left]) * (1.0 - score[right])
+        if places.readings:
+            readings[right] = _both(readings[left], readings[right])
+        label[left], readings[left] = PLATE, ((PLATE, 1.0),)
+    return replace(places, label=tuple(label), score=score, readings=tuple(readings))
+
+
+def _columns(places: PanelPlaces, pairs: list[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Return the columns (left, right) of the pairs: those with most of them, each column once."""
+    counts = Counter((_column(places, left), _column(places, right)) for left, right in pairs)
+    used: set[int] = set()
+    found = set()
+    for columns, _ in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        if used.isdisjoint(columns):
+            found.add(columns)
+            used.update(columns)
+    return found
+
+
+def _neighbours(places: PanelPlaces) -> list[tuple[int, int]]:
+    """Return (left, right) of detected places that are next to each other in a row."""
+    detected = np.flatnonzero(places.detection >= 0)
+    found = []
+    for left in detected:
+        down, along = (places.at[detected] - places.at[left]).T
+        beside = detected[(np.abs(down) < _SAME_ROW) & (along > 0.0) & (along < _NEXT)]
+        if len(beside):
+            found.append((int(left), int(beside[places.at[beside, 1].argmin()])))
+    return found
+
+
+def _column(places: PanelPlaces, k: int) -> int:
+    return round(2.0 * float(places.at[k, 1]))
+
+
+def _read(places: PanelPlaces, k: int) -> Readings:
+    """Return what was read at place k as a distribution."""
+    known = places.read_at(k)
+    return known or (((places.label[k], min(1.0, max(0.0, float(places.score[k])))),) if places.label[k] else ())
+
+
+def _read_alike(places: PanelPlaces, left: int, right: int) -> bool:
+    """Tell whether two places are read as the same, and neither as the beginning of something longer."""
+    one, other = dict(_read(places, left)), dict(_read(places, right))
+    if sum(p * other.get(label, 0.0) for label, p in one.items()) < _ALIKE:
+        return False
+    both = [*one.items(), *other.items()]
+    name = max(one, key=lambda label: one[label] * other.get(label, 0.0))
+    return not any(len(label) > len(name) and label.startswith(name) and p > _LONGER for label, p in both)
+
+
+def _both(plate: Readings, button: Readings) -> Readings:
+    """Return the distribution of one label that is read twice."""
+    if not plate or not button:
+        return plate or button
+    one, other = dict(plate), dict(button)
+    product = {k: (one.get(k, 0.0) + _ANYTHING) * (other.get(k, 0.0) + _ANYTHING) for k in one.keys() | other.keys()}
+    total = sum(product.values()) + _ANYTHING**2
+    likely = [(label, p / total) for label, p in product.items() if p / total > _TOLD]
+    return tuple(sorted(likely, key=lambda item: (-item[1], item[0])))
