@@ -19,8 +19,8 @@ PLATE = "plate"
 _FEWEST_PAIRS, _LEAST_SHARE, _SAME_ROW, _NEXT = 3, 0.3, 0.35, 1.35
 # Two are read alike where they say the same with this probability.
 _ALIKE = 0.2
-# A label that may go on ('2' as '2R', of the rear door) is another one's.
-_LONGER = 0.02
+# A label that may go on with a letter ('2' as '2R', of the rear door) is another one's.
+_LONGER = 0.1
 # Whatever is read may be anything else with this probability; labels below the other are not told.
 _ANYTHING, _TOLD = 0.02, 1e-3
 
@@ -86,13 +86,13 @@ def _read(places: PanelPlaces, k: int) -> Readings:
 
 
 def _read_alike(places: PanelPlaces, left: int, right: int) -> bool:
-    """Tell whether two places are read as the same, and neither as the beginning of something longer."""
+    """Tell whether two places are read as the same, and neither as the beginning of another label."""
     one, other = dict(_read(places, left)), dict(_read(places, right))
     if sum(p * other.get(label, 0.0) for label, p in one.items()) < _ALIKE:
         return False
     both = [*one.items(), *other.items()]
     name = max(one, key=lambda label: one[label] * other.get(label, 0.0))
-    return not any(len(label) > len(name) and label.startswith(name) and p > _LONGER for label, p in both)
+    return not any(label.startswith(name) and label[len(name) :].isalpha() and p > _LONGER for label, p in both)
 
 
 def _both(plate: Readings, button: Readings) -> Readings:
