@@ -203,6 +203,28 @@ def test_a_panel_is_taught_by_a_picture_and_better_by_several() -> None:
     assert several.place_std > 0.0 and several.log_aspect_std < first.log_aspect_std
 
 
+def test_label_plates_are_taught_without_a_name() -> None:
+    """Four columns, the first and the third of them plates that are read as the buttons to their right."""
+    views = []
+    for seed in (1, 2):
+        scene = seen(regular_panel(6, 4, 0.05), seed, sigma_px=0.3)
+        read = [str(2 + b // 4 * 2 + b % 4 // 2) for b in scene.button.tolist()]
+        given = [replace(d, label=label, score=0.9) for d, label in zip(scene.detections, read, strict=True)]
+        views.append((given, scene.camera))
+    known = taught(View(fit_panel(views[0][0], views[0][1]), views[0][1]), "plates")
+    fits = [View(fit_panel(given, camera, known=known), camera) for given, camera in views]
+    assert all(view.fit.ok for view in fits)
+    labels = dict(zip(map(tuple, known.cells.tolist()), joined(known, fits).labels, strict=True))
+    assert all((labels[row, column] == "") == (column % 2 == 0) for row, column in labels)
+
+
+def test_a_single_column_teaches_nothing() -> None:
+    scene = seen(PANEL, 3)
+    fit = fit_panel(scene.detections, scene.camera)
+    with pytest.raises(ValueError, match="one row or one column"):
+        taught(View(replace(fit, columns=1), scene.camera), "column")
+
+
 def test_a_refused_fit_teaches_nothing() -> None:
     with pytest.raises(ValueError, match="accepted fit"):
         taught(View(GridFit(status="no_lattice", reason="none"), paper_camera()), "x")

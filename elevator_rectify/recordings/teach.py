@@ -81,7 +81,9 @@ def learnt(views: list[Taken], name: str, config: Config) -> tuple[KnownPanel, l
         fits.append((view, with_labels(fit, view.image, view.camera)))
         if not fit.ok:
             print(f"{view.name}: left out: {fit.status}: {fit.reason}")
-    accepted = [(view, fit) for view, fit in fits if fit.ok]
+        elif min(fit.rows, fit.columns) < 2:
+            print(f"{view.name}: left out: one row or one column cannot be taught")
+    accepted = [(view, fit) for view, fit in fits if fit.ok and min(fit.rows, fit.columns) > 1]
     if not accepted:
         return None
     view, fit = max(accepted, key=lambda item: (item[1].inliers, item[1].confidence))

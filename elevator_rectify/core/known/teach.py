@@ -12,6 +12,7 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.known.evidence import distribution
 from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.reading.plates import PLATE
 from elevator_rectify.core.types import Array, Button, KnownPanel
 
 # A label that is less probable in every view is left open.
@@ -27,17 +28,19 @@ class View:
 
 
 def taught(view: View, name: str) -> KnownPanel:
-    """Return the panel as one view shows it. Raises ValueError where the fit was refused."""
+    """Return the panel as one view shows it. Raises ValueError where the fit was refused, or is of a single line."""
     fit = view.fit
     if not fit.ok:
         raise ValueError(f"a panel is taught by an accepted fit, this one is {fit.status}: {fit.reason}")
+    if min(fit.rows, fit.columns) < 2:
+        raise ValueError("one row or one column of buttons cannot be taught: its centres do not determine a pose")
     buttons = [b for b in fit.buttons if _is_button(fit, b)]
     seen = fit.measurement
     residual = seen.residual * float(fit.pitch[0]) if seen is not None else fit.rms_px * _unit_per_px(fit)
     aspect = fit.shape_covariance[6, 6] if len(fit.shape_covariance) > 6 else 0.0
     return KnownPanel(
         name=name,
-        labels=tuple(b.label if b.label_probability >= _LEAST_LABEL else "" for b in buttons),
+        labels=tuple(b.label if b.label_probability >= _LEAST_LABEL and b.label != PLATE else "" for b in buttons),
         places=np.array([_place(fit, b, view.camera) for b in buttons]),
         sizes=np.array([b.size for b in buttons]),
         cells=np.array([(b.row, b.column) for b in buttons], dtype=np.int64),
@@ -137,8 +140,13 @@ def _aligned(seen: Array, places: Array) -> Array:
 
 
 def _vote(votes: list[Counter[str]], fit: GridFit) -> None:
-    """Add what a view's detections read to the votes for each button's label."""
+    """Add what a view's detections read to the votes for each button's label.
+
+    What has none so far is not named like another: it may be that one's label plate.
+    """
+    assert fit.known is not None
+    labels = fit.known.labels
     for detection, k in zip(fit.detections, fit.matched.tolist(), strict=True):
-        if k >= 0:
-            for label, p in distribution(detection).items():
+        for label, p in distribution(detection).items() if k >= 0 else ():
+            if labels[k] or label not in labels:
                 votes[k][label] += p
