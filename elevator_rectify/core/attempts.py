@@ -57,10 +57,11 @@ class Attempt:
 
     @property
     def rank(self) -> tuple[float, float, float]:
-        """Return what the best attempt has most of."""
+        """Return what the best attempt has most of; what can be no panel is not it, however alike its places look."""
         if self.result.measurement is None:
             return 0.0, 0.0, self.likelihood
-        return 1.0, self.result.confidence, self.likelihood
+        possible = self.result.status != "no_lattice"
+        return 1.0, self.result.confidence if possible else 0.0, self.likelihood
 
 
 def best_attempt(usable: Usable, camera: Camera, sigma: float, config: Config, image: Image | None = None) -> Attempt:

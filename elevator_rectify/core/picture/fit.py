@@ -68,12 +68,13 @@ _ON_BUTTON = 0.9
 
 @dataclass(frozen=True)
 class PictureFit:
-    """The best fit to the picture, as measured and as a result; the other pose's result, where there is one, and the
+    """The best fit to the picture, as measured and as a result; the same of the other pose, where there is one, and the
     margin between them in nats."""
 
     measured: MeasuredFit
     result: FitResult
     other: FitResult | None
+    other_measured: MeasuredFit | None
     margin: float
 
 
@@ -93,13 +94,31 @@ def with_picture(
     found = picture_fit(fit, boxes, usable, sigma, photo, config, last)
     if found is None:
         return boxes
-    score = logistic_confidence(picture_features(found, boxes, usable, sigma, photo.camera), COEFFICIENTS)
+    found, score = _surer(found, boxes, usable, sigma, photo.camera, config)
     result = replace(found.result, confidence=score, margin_nats=found.margin)
     if found.other is not None and max(found.margin, fit.margin) < config.joint.ambiguity_nats:
         reason = f"two poses explain the picture, {found.margin:.2g} nats apart"
         return replace(result, status="ambiguous", reason=reason, alternatives=(found.other,))
     least = config.measurement.min_confidence
     return judged(replace(result, alternatives=()), found.measured.fit, photo.camera, config, least)
+
+
+def _surer(
+    found: PictureFit, boxes: FitResult, usable: Usable, sigma: float, camera: Camera, config: Config
+) -> tuple[PictureFit, float]:
+    """Return the fit, or the other pose where that is surely right and this one surely wrong, and its confidence.
+
+    Likelihoods count how many places look alike and how near they are to the lattice; the confidence knows too how
+    panels are filled, and how their edges run.
+    """
+    score = logistic_confidence(picture_features(found, boxes, usable, sigma, camera), COEFFICIENTS)
+    if found.other is None or found.other_measured is None:
+        return found, score
+    other = PictureFit(found.other_measured, found.other, found.result, found.measured, 0.0)
+    its = logistic_confidence(picture_features(other, boxes, usable, sigma, camera), COEFFICIENTS)
+    odds = np.clip([its, score], 1e-6, 1.0 - 1e-6)
+    nats = float(np.subtract(*np.log(odds / (1.0 - odds))))
+    return (replace(other, margin=nats), its) if nats > config.joint.ambiguity_nats else (found, score)
 
 
 def picture_fit(
@@ -123,7 +142,9 @@ def picture_fit(
     results = [_result(m, boxes, usable, camera, sigma, config) for m in wide]
     results = [_with_edges(_judged_by_edges(r, photo, last), photo, config) for r in results]
     margin = _misfit(measured[1]) - _misfit(measured[0]) if len(measured) > 1 else np.inf
-    return PictureFit(measured[0], results[0], results[1] if len(results) > 1 else None, float(margin))
+    if len(measured) == 1:
+        return PictureFit(measured[0], results[0], None, None, float(margin))
+    return PictureFit(measured[0], results[0], results[1], measured[1], float(margin))
 
 
 def _shown(measured: MeasuredFit, config: Config) -> bool:
