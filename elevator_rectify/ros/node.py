@@ -161,7 +161,9 @@ class ElevatorRectify(Node):
         self._streams = [subscribe(self, kind, topic, self._feeding(add), bad) for kind, topic, add in streams]
         kind, add = self.node_config.detections.type, self._feeding(self._add_detections)
         self._detections = DetectionsSubscriber(self, kind, add, bad, self._steady)
-        topics = {"image": image[1], "camera_info": "camera_info", "detections": "detections"}
+        topics = {"image": image[1], "camera_info": "camera_info"}
+        if self.node_config.detector != "own":
+            topics["detections"] = "detections"
         self._silence = Silence({name: self.resolve_topic_name(topic) for name, topic in topics.items()})
         self.get_logger().info(f"waiting for {', '.join(self._silence.names.values())}")
         self._timer = self.create_timer(_DIAGNOSTICS_SECONDS, self._diagnose, clock=self._steady)
@@ -192,7 +194,7 @@ class ElevatorRectify(Node):
         if self.node_config.detector != "auto":
             return
         young = time.monotonic() - self._started < _OWN_AFTER_SECONDS
-        needed = self._had_detections or young or self.count_publishers(self._silence.names["detections"]) > 0
+        needed = self._had_detections or young or self.count_publishers(self.resolve_topic_name("detections")) > 0
         if needed != self.pairing.needs_detections:
             self.pairing.needs_detections = needed
             source = "the topic" if needed else "our own detector, nobody publishes them"
