@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detector.detect import detect_buttons
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.outline.result import METHOD as OUTLINES
 from elevator_rectify.core.pipeline import DEFAULT_CONFIG, fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import labelled, read_boxes, read_in_plane, read_undetected
+from elevator_rectify.core.result import known_well
 from elevator_rectify.core.types import Detection, FitResult, Image, KnownPanel
 
 
@@ -26,7 +30,20 @@ def find_panel(
     The arguments are those of `fit_panel`, which raises ValueError for the same.
     """
     found = detect_buttons(image, config.network)
-    return with_labels(fit_panel(found, camera, config, previous, image, known), image, camera)
+    fit = of_own_boxes(fit_panel(found, camera, config, previous, image, known), config)
+    return with_labels(fit, image, camera)
+
+
+def of_own_boxes(fit: GridFit, config: Config) -> GridFit:
+    """Return the fit to our own detector's boxes: of few, by their outlines, as sure as that one of them is a button.
+
+    A single box may be a screw. Our detector's scores are probabilities; what other detectors' are, nobody knows.
+    """
+    if not fit.ok or fit.method != OUTLINES:
+        return fit
+    used = [d.score for d, cell in zip(fit.detections, fit.cells, strict=True) if cell[0] >= 0]
+    button = 1.0 - float(np.prod([1.0 - score for score in used]))
+    return known_well(replace(fit, confidence=fit.confidence * button), config, config.accept.min_confidence)
 
 
 def with_labels(fit: GridFit, image: Image, camera: Camera) -> GridFit:

@@ -32,7 +32,7 @@ from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
 from elevator_rectify.core.lattice.sizes import contradiction
 from elevator_rectify.core.lattice.spacing import undone_perspective
 from elevator_rectify.core.paper.rounds import PaperFit
-from elevator_rectify.core.types import Array, FitResult, IntArray
+from elevator_rectify.core.types import Array, FitResult, FitT, IntArray
 
 # A lattice of a finer pitch than so many standard deviations of the detections is near to every point.
 _FINEST_PITCH_SIGMAS = 4.0
@@ -115,7 +115,7 @@ def judged(found: FitResult, fit: LayoutFit, camera: Camera, config: Config, lea
     return known_well(found, config, least)
 
 
-def known_well(found: FitResult, config: Config, least: float) -> FitResult:
+def known_well(found: FitT, config: Config, least: float) -> FitT:
     """Return the fit with its status, by its covariance and confidence, of which `least` is needed."""
     spread, limit = rotation_std_rad(found.covariance), config.accept.max_rotation_std_rad
     if spread > limit:

@@ -12,7 +12,7 @@ import numpy as np
 
 from elevator_rectify.core.config import Config, LabelsConfig
 from elevator_rectify.core.detector.follow import Found, find_or_follow
-from elevator_rectify.core.find import with_labels
+from elevator_rectify.core.find import of_own_boxes, with_labels
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.scale import with_scale
 from elevator_rectify.core.lamps.patches import Patches, patches_of
@@ -121,6 +121,7 @@ def answer_frame(
     watch.lap("convert")
     stamp = stamp_ns(frame.image.header)
     fit, scale = _fit(given, config, recent(track, stamp, config.smoothing), node.measure)
+    fit = of_own_boxes(fit, config) if given.found is not None else fit
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp, config.smoothing)
     watch.lap("fit")
