@@ -24,6 +24,7 @@ from elevator_rectify.core import (
     fit_panel,
 )
 from elevator_rectify.core.reading.labels import canonical
+from elevator_rectify.core.reading.plates import PLATE
 from elevator_rectify.core.types import IntArray
 from elevator_rectify.train.labelled import LabelledPicture, read_labelled
 
@@ -136,7 +137,8 @@ def _placed(fit: GridFit, truth: list[Detection]) -> IntArray:
 
 
 def _labels(fit: GridFit, truth: list[Detection], placed: IntArray) -> tuple[int, int]:
-    read = [k for k, d in enumerate(truth) if d.label and placed[k] >= 0]
+    # What is taken for a label plate has no label of its own.
+    read = [k for k, d in enumerate(truth) if d.label and placed[k] >= 0 and fit.buttons[placed[k]].label != PLATE]
     return sum(fit.buttons[placed[k]].label == canonical(truth[k].label) for k in read), len(read)
 
 
@@ -152,15 +154,19 @@ def _asked(
     fit: GridFit, truth: list[Detection], placed: IntArray, rng: np.random.Generator
 ) -> tuple[int, int, int, int, int]:
     there = sorted({canonical(d.label) for d in truth if d.label} - {""})
-    right = wrong = answered = 0
-    for name in there:
+    # By the label of the true button there; what the annotators could not read (None) is neither right nor wrong.
+    labels = {int(placed[k]): canonical(d.label) or None for k, d in enumerate(truth) if placed[k] >= 0}
+
+    def found(name: str) -> str | None:
+        """Return what is truly written on the button that is found, '' where there is none, None for no answer."""
         button = find_button(fit, name, CONFIG.target).button
-        if button is not None:
-            own = {int(placed[k]) for k, d in enumerate(truth) if canonical(d.label) == name}
-            hit = any(fit.buttons[place] is button for place in own if place >= 0)
-            right, wrong = right + hit, wrong + (not hit)
+        return None if button is None else labels.get(next(k for k, b in enumerate(fit.buttons) if b is button), "")
+
+    answers = [(name, found(name)) for name in there]
+    right = sum(answer == name for name, answer in answers)
+    wrong = sum(answer is not None and answer != name for name, answer in answers)
     others = rng.choice([str(n) for n in range(1, 60) if str(n) not in there], _ABSENT, replace=False)
-    answered = sum(find_button(fit, str(name), CONFIG.target).button is not None for name in others)
+    answered = sum(found(str(name)) is not None for name in others)
     return right, wrong, len(there), answered, _ABSENT
 
 

@@ -13,8 +13,6 @@ from elevator_rectify.core.reading.reader import MARGIN, SHARPEST
 from elevator_rectify.train.augment import random_light
 
 Image = NDArray[Any]
-# Over so many pixels of a patch the halves of two are blended.
-_SEAM_PX = 4.0
 _LETTERS = tuple("B G L M P R S LG UG PH GF LL CP K C D E A U MZ RF".split())  # noqa: SIM905
 
 
@@ -38,25 +36,9 @@ def cut_patch(image: Image, box_px: NDArray[Any], side: int, rng: np.random.Gene
     return np.asarray(cv2.warpAffine(part, M, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
-def spliced_patch(
-    image: Image, box_px: NDArray[Any], other_px: NDArray[Any], side: int, rng: np.random.Generator | None = None
-) -> Image:
-    """Return the left half of one box's patch beside the right half of another's, of the same panel: '31' and '18' make
-    '38'."""
-    alike = [None if rng is None else np.random.default_rng(seed) for seed in _twice(rng)]
-    left, right = (cut_patch(image, box, side, r) for box, r in zip((box_px, other_px), alike, strict=True))
-    share = np.clip((np.arange(side) - (side - 1) / 2) / _SEAM_PX + 0.5, 0.0, 1.0)[:, None]
-    return np.asarray(left * (1.0 - share) + right * share).round().astype(np.uint8)
-
-
-def _twice(rng: np.random.Generator | None) -> tuple[int, int]:
-    seed = 0 if rng is None else int(rng.integers(1 << 32))
-    return seed, seed
-
-
 def _random_linear(rng: np.random.Generator) -> NDArray[np.float64]:
     """Return a turn, shear and scale (2, 2); now and then the box is of the cap, not the plate, or the reverse."""
-    turn, shear = np.radians(rng.normal(0, 6)), rng.normal(0, 0.1)
+    turn, shear = np.radians(rng.normal(0, 5)), rng.normal(0, 0.06)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     scale = np.exp(rng.normal(0.02, 0.09, 2))
     if rng.random() < 0.25:
@@ -65,50 +47,18 @@ def _random_linear(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def spoilt_patch(patch: Image, rng: np.random.Generator) -> Image:
-    """Return the patch in another light, often seen aslant, in part hidden, or at a lower resolution."""
+    """Return the patch in another light, and often at a lower resolution."""
     side = patch.shape[0]
-    if rng.random() < 0.4:
-        patch = _aslant(patch, rng)
-    if rng.random() < 0.2:
-        patch = _hidden_in_part(patch, rng)
     if rng.random() < 0.35:
         small = int(np.exp(rng.uniform(np.log(14), np.log(side))))
         patch = cv2.resize(cv2.resize(patch, (small, small), interpolation=cv2.INTER_AREA), (side, side))
     return random_light(patch, rng)
 
 
-def _aslant(patch: Image, rng: np.random.Generator) -> Image:
-    """Return the patch with its corners moved."""
-    side = patch.shape[0]
-    corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], dtype=np.float32)
-    moved = corners + rng.normal(0, 0.05 * side, (4, 2)).astype(np.float32)
-    H = cv2.getPerspectiveTransform(corners, moved)
-    return np.asarray(cv2.warpPerspective(patch, H, (side, side), borderMode=cv2.BORDER_REPLICATE))
-
-
-def _hidden_in_part(patch: Image, rng: np.random.Generator) -> Image:
-    """Return the patch with a rectangle of one colour over its rim, as a finger or a neighbour may cover it."""
-    side = patch.shape[0]
-    depth, along = int(rng.uniform(0.08, 0.27) * side), rng.uniform(0.3, 1.0)
-    first = int(rng.uniform(0.0, 1.0 - along) * side)
-    mask = np.zeros((side, side), dtype=bool)
-    mask[:depth, first : first + int(along * side)] = True
-    mask = np.rot90(mask, int(rng.integers(4)))
-    return np.where(mask[..., None], _material(rng).astype(np.uint8), patch)
-
-
 def font_files() -> list[Path]:
     """Return the fonts of the machine (Debian's fonts-dejavu-core, -liberation, -freefont-ttf, -lato, ...)."""
     found = Path("/usr/share/fonts").rglob("*.ttf")
-    return sorted(p for p in found if "Symbol" not in p.name and "Emoji" not in p.name and _has_digits(p))
-
-
-def _has_digits(font: Path) -> bool:
-    """Tell whether a font has Latin digits: others draw the same empty box for all."""
-    from PIL import ImageFont
-
-    loaded = ImageFont.truetype(str(font), 24)
-    return bytes(loaded.getmask("8")) != bytes(loaded.getmask("3"))
+    return sorted(p for p in found if "Symbol" not in p.name and "Emoji" not in p.name)
 
 
 def random_text(rng: np.random.Generator) -> str:
@@ -146,13 +96,6 @@ def drawn_patch(text: str, side: int, rng: np.random.Generator, fonts: list[Path
     middle = np.array([shape[0] + shape[2], shape[1] + shape[3]]) / 2
     at = middle - np.array([x1 + x0, y1 + y0]) / 2 + rng.normal(0, 5, 2)
     ink = _ink(cap, rng)
-    if rng.random() < 0.3:
-        # Engraved or raised: light on one side of the strokes, shadow on the other, the cap's own colour between.
-        step, height = rng.normal(0, 1.6, 2), rng.uniform(25, 90)
-        for sign in (-1.0, 1.0):
-            place = (float(at[0] + sign * step[0]), float(at[1] + sign * step[1]))
-            draw.text(place, text, font=font, fill=_colour(cap + sign * height))
-        ink = cap + rng.normal(0, 12)
     draw.text((float(at[0]), float(at[1])), text, font=font, fill=_colour(ink))
     if rng.random() < 0.25:
         _drawn_braille(draw, at + np.array([x0, y1 + 3.0]), big, ink if rng.random() < 0.5 else _ink(cap, rng), rng)

@@ -30,7 +30,7 @@ class ReaderNet(nn.Module):
             convolution(48, 96), convolution(96, 96), pool,
             convolution(96, 160), convolution(160, _TOLD, size=1),
         )  # fmt: skip
-        self.drop = nn.Dropout(0.3)
+        self.drop = nn.Dropout(0.15)
         self.hidden = nn.Linear(2 * _TOLD * (PATCH_PX // 16) ** 2, 256)
         self.out = nn.Linear(256, len(KINDS) + SLOTS * (BLANK + 1))
 
