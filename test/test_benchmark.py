@@ -111,6 +111,12 @@ def test_the_program_prints_what_the_picture_adds(capsys: pytest.CaptureFixture[
     assert "skipped" in said and "with picture" in said and "easy" in said
 
 
+def test_the_program_prints_the_coverage_of_wrong_calibrations(capsys: pytest.CaptureFixture[str]) -> None:
+    assert program.main(["--inexact", "2", "--levels", "easy"]) == 0
+    said = capsys.readouterr().out
+    assert "exact" in said and "f 5 % too long" in said and "k1 too low" in said
+
+
 def test_taught_panels_are_fitted_beside_the_free_fit() -> None:
     (free, known) = run_scene(("easy", 5001, 0))
     assert free.accepted and known.accepted and not known.wrong and len(known.lateral_mm) == len(free.lateral_mm)

@@ -11,7 +11,15 @@ import numpy as np
 
 from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
-from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, SUCCESS_DEG, Trial, calibration_error, judged, record
+from elevator_rectify.benchmark.synthetic import (
+    CHI2_3,
+    RIGHT_CELLS,
+    SUCCESS_DEG,
+    Trial,
+    calibration_error,
+    judged,
+    record,
+)
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Array, FitResult, Image
@@ -22,7 +30,6 @@ from elevator_rectify.render.photograph import photograph
 from elevator_rectify.render.scene import Scene
 
 _CONFIG = Config()
-_CHI2_3 = 7.815
 _AWAY_M = 0.5
 # A place that the picture shows belongs to the button within this share of the pitch.
 _NEAR_PITCH = 0.15
@@ -150,7 +157,7 @@ def _row(level: str, name: str, trials: list[Trial]) -> str:
     return (
         f"{level:<8}{name:<9}{np.mean((error < SUCCESS_DEG) & cells):>8.3f}{cells.mean():>7.3f}{np.median(error):>8.2f}"
         f"{np.median(error) / np.median(oracle):>8.3f}{np.percentile([t.error_deg for t in accepted], 95):>8.2f}"
-        f"{len(accepted) / len(trials):>8.3f}{gross:>8.2f}{np.mean(d2 < _CHI2_3):>7.3f}"
+        f"{len(accepted) / len(trials):>8.3f}{gross:>8.2f}{np.mean(d2 < CHI2_3):>7.3f}"
         f"{calibration_error(trials):>7.3f}{np.median([t.milliseconds for t in trials]):>8.1f}"
     )
 

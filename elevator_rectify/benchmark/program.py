@@ -13,6 +13,7 @@ from elevator_rectify.benchmark.detector import detector_table
 from elevator_rectify.benchmark.end_to_end import end_to_end_table
 from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.figures import Figures, comparison, read_figures
+from elevator_rectify.benchmark.inexact import inexact_table
 from elevator_rectify.benchmark.known import known_table
 from elevator_rectify.benchmark.known_rendered import known_rendered_table
 from elevator_rectify.benchmark.lamps import lamps_table
@@ -69,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
     parser.add_argument("--taught", type=int, default=0, metavar="N", help="N rendered panels a level, taught before")
     parser.add_argument("--calibration", type=int, default=0, metavar="N", help="the camera, by each of N panels")
+    parser.add_argument(
+        "--inexact", type=int, default=0, metavar="N", help="coverage where the camera's calibration is off, N a level"
+    )
     parser.add_argument("--times", type=int, default=0, metavar="N", help="time of a fit to N rendered panels a size")
     parser.add_argument("--fixed", action="store_true", help="a small set of everything, the same in every run")
     parser.add_argument("--json", type=Path, help="file to write the figures to, with seeds and versions")
@@ -97,6 +101,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
     tables = _times if options.times else tables
+    tables = _inexact if options.inexact else tables
     tables = _taught if options.taught or options.calibration else tables
     tables(options, figures, reference_ms)
     if options.json is not None:
@@ -165,6 +170,11 @@ def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: fl
 def _times(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the table of times."""
     print(timing_table(options.methods.split(",")[0], options.times, options.seed, reference_ms))
+
+
+def _inexact(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the table of wrong calibrations."""
+    print(inexact_table(options.levels.split(","), options.inexact, options.seed, figures))
 
 
 def _taught(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:

@@ -20,7 +20,7 @@ from elevator_rectify.render.scene import Scene
 
 SUCCESS_DEG, RIGHT_CELLS = 2.0, 0.95
 # 95 % of a chi-squared variable of three degrees of freedom.
-_CHI2_3 = 7.815
+CHI2_3 = 7.815
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def table_row(level: str, method: str, trials: list[Trial], yardstick_ms: float)
         f"{level:<8}{method:<17}{np.mean((error < SUCCESS_DEG) & cells):>8.3f}{cells.mean():>7.3f}"
         f"{np.median(error):>8.2f}{np.percentile(error, 95):>8.2f}{ratio:>8.3f}"
         f"{np.nanmedian([t.metric for t in trials]) if found.any() else np.nan:>8.4f}"
-        f"{len(accepted) / len(trials):>8.3f}{gross:>8.2f}{np.mean(d2 < _CHI2_3) if len(d2) else np.nan:>7.3f}"
+        f"{len(accepted) / len(trials):>8.3f}{gross:>8.2f}{np.mean(d2 < CHI2_3) if len(d2) else np.nan:>7.3f}"
         f"{calibration_error(trials):>7.3f}{np.median(ms):>8.1f}{np.percentile(ms, 95):>8.1f}"
         f"{np.percentile(ms, 95) / yardstick_ms:>9.1f}"
     )
@@ -122,7 +122,7 @@ def record(figures: Figures, name: str, trials: list[Trial]) -> None:
     figures.rate(f"{name} cells right+", [t.cells >= RIGHT_CELLS for t in trials])
     figures.rate(f"{name} accepted+", [t.accepted for t in trials])
     figures.rate(f"{name} gross error among accepted-", [not t.right for t in trials if t.accepted])
-    figures.rate(f"{name} coverage+", [t.mahalanobis2 < _CHI2_3 for t in trials if t.accepted and t.right])
+    figures.rate(f"{name} coverage+", [t.mahalanobis2 < CHI2_3 for t in trials if t.accepted and t.right])
     figures.median(f"{name} error deg-", [t.error_deg for t in trials])
 
 
