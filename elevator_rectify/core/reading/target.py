@@ -93,9 +93,7 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
     if (button.detection < 0 or button.row < 0) and not as_read and not config.allow_inferred:
         reason = f"{name} was not read, only inferred from the others; target.allow_inferred is off"
         return Choice(None, "inferred_only", reason)
-    # A reading with all its alternatives is weighed by the whole panel: of 31 that it was so sure of, none was wrong.
-    weighed = probability >= _BY_PANEL and bool(fit.reading.places.read_at(_index_of(fit, button)))
-    if as_read and not button.score >= config.min_score and not weighed:
+    if as_read and not button.score >= config.min_score and not _weighed(fit, button, probability):
         return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
     if probability < config.min_probability:
         reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"
@@ -108,6 +106,12 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
         reason = f"{name} is {over} upside down, and too few floors are surely read to tell"
         return Choice(None, "unsure_label", reason)
     return replace(_placed(fit, button, config), probability=probability)
+
+
+def _weighed(fit: GridFit, button: Button, probability: float) -> bool:
+    """Tell whether a label was read with all its alternatives, and is sure by the whole panel: of 31 such that were
+    read with low scores none was wrong."""
+    return probability >= _BY_PANEL and bool(fit.reading.places.read_at(_index_of(fit, button)))
 
 
 def _of_taught(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
