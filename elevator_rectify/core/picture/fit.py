@@ -141,10 +141,9 @@ def picture_fit(
     wide = measured if last is not None else [widened(m, config) for m in measured]
     results = [_result(m, boxes, usable, camera, sigma, config) for m in wide]
     results = [_with_edges(_judged_by_edges(r, photo, last), photo, config) for r in results]
-    margin = _misfit(measured[1]) - _misfit(measured[0]) if len(measured) > 1 else np.inf
     if len(measured) == 1:
-        return PictureFit(measured[0], results[0], None, None, float(margin))
-    return PictureFit(measured[0], results[0], results[1], measured[1], float(margin))
+        return PictureFit(measured[0], results[0], None, None, np.inf)
+    return PictureFit(measured[0], results[0], results[1], measured[1], _misfit(measured[1]) - _misfit(measured[0]))
 
 
 def _shown(measured: MeasuredFit, config: Config) -> bool:
