@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from elevator_rectify.benchmark.inexact import wrong_camera
 from elevator_rectify.core import Camera, Config, fit_panel, fit_panels
 from elevator_rectify.core.config import HypothesesConfig, JointConfig, with_values
 from elevator_rectify.core.geometry.rotations import rotations
@@ -272,9 +273,7 @@ def test_covariance_covers_the_error_of_an_inexact_calibration(longer: float, k1
     inside = []
     for seed in range(40):
         truth = scene(seed, sigma_px=0.2, tilt_deg=float(seed))
-        K = CAMERA.matrix * np.array([[longer, 1.0, 1.0], [1.0, longer, 1.0], [1.0, 1.0, 1.0]])
-        wrong = Camera.from_matrix(K, CAMERA.width, CAMERA.height, [k1, 0.0, 0.0, 0.0])
-        fit = fit_panel(truth.centres_px, wrong)
+        fit = fit_panel(truth.centres_px, wrong_camera(CAMERA, longer, k1))
         if fit.ok:
             error = cv2.Rodrigues(truth.R_camera_panel @ fit.R_camera_panel.T)[0].ravel()
             inside.append(error @ np.linalg.solve(fit.covariance[3:, 3:], error) < 7.815)
@@ -284,7 +283,7 @@ def test_covariance_covers_the_error_of_an_inexact_calibration(longer: float, k1
 @pytest.mark.parametrize("k1", [0.02, -0.02])
 def test_lens_uncertainty_predicts_the_shift_that_a_wrong_one_causes(k1: float) -> None:
     truth = scene(3, tilt_deg=35.0)
-    bent = Camera.from_matrix(CAMERA.matrix, CAMERA.width, CAMERA.height, [k1, 0.0, 0.0, 0.0])
+    bent = wrong_camera(CAMERA, 1.0, k1)
     sure = with_values(EXACT, {"joint.radial_std": 0.0})
     plain, wrong = fit_panel(truth.centres_px, CAMERA, sure), fit_panel(truth.centres_px, bent, sure)
     unsure = fit_panel(truth.centres_px, CAMERA, with_values(EXACT, {"joint.radial_std": abs(k1)}))

@@ -25,6 +25,7 @@ from elevator_rectify.core import (
 )
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.plates import PLATE
+from elevator_rectify.core.reading.target import index_of
 from elevator_rectify.core.types import IntArray
 from elevator_rectify.train.labelled import LabelledPicture, read_labelled
 
@@ -160,7 +161,7 @@ def _asked(
     def found(name: str) -> str | None:
         """Return what is truly written on the button that is found, '' where there is none, None for no answer."""
         button = find_button(fit, name, CONFIG.target).button
-        return None if button is None else labels.get(next(k for k, b in enumerate(fit.buttons) if b is button), "")
+        return None if button is None else labels.get(index_of(fit, button), "")
 
     answers = [(name, found(name)) for name in there]
     right = sum(answer == name for name, answer in answers)

@@ -59,16 +59,19 @@ def inexact_table(levels: list[str], scenes: int, seed: int, figures: Figures) -
         tasks = [(level, seed, number) for number in range(scenes)]
         found = [o for several in parallel(run_scene, tasks, level) for o in several]
         for name in CALIBRATIONS:
-            text = f"{level:<8}{name:<21}"
-            for with_picture in (False, True):
-                mine = [o for o in found if o.calibration == name and o.with_picture == with_picture]
-                good = [o for o in mine if o.accepted]
-                inside = [o.mahalanobis2 < CHI2_3 for o in good]
-                of = "picture" if with_picture else "boxes"
-                figures.rate(f"{level} {of}, calibration {name}, coverage+", inside)
-                median = float(np.median([o.error_deg for o in good])) if good else np.nan
-                share = np.mean(inside) if inside else np.nan
-                width = 17 if with_picture else 14
-                text += f"{len(good) / max(1, len(mine)):>{width}.3f}{median:>8.2f}{share:>8.3f}"
-            lines.append(text)
+            mine = [o for o in found if o.calibration == name]
+            boxes, picture = ([o for o in mine if o.with_picture == shown] for shown in (False, True))
+            by_boxes = _columns(boxes, f"{level} boxes, calibration {name}", figures)
+            by_picture = _columns(picture, f"{level} picture, calibration {name}", figures)
+            lines.append(f"{level:<8}{name:<21}{by_boxes:>30}{by_picture:>33}")
     return "\n".join(lines)
+
+
+def _columns(found: list[Outcome], name: str, figures: Figures) -> str:
+    """Return the share of the accepted, their median error, and the coverage, which is kept as a figure."""
+    good = [o for o in found if o.accepted]
+    inside = [o.mahalanobis2 < CHI2_3 for o in good]
+    figures.rate(f"{name}, coverage+", inside)
+    if not good:
+        return f"{0.0:.3f}{np.nan:>8.2f}{np.nan:>8.3f}"
+    return f"{len(good) / len(found):.3f}{np.median([o.error_deg for o in good]):>8.2f}{np.mean(inside):>8.3f}"

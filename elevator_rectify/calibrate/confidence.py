@@ -15,7 +15,7 @@ import numpy as np
 from elevator_rectify.benchmark.negatives import KINDS, boxed
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
-from elevator_rectify.benchmark.synthetic import RIGHT_CELLS, judged
+from elevator_rectify.benchmark.synthetic import CHI2_3, RIGHT_CELLS, judged
 from elevator_rectify.calibrate import filled, lamps, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
 from elevator_rectify.calibrate.real_pictures import as_stated, names_of, real_examples, searched
@@ -169,7 +169,7 @@ def write_model(found: list[Example], names: tuple[str, ...], path: Path, ridge:
         right, wrong = np.mean(p[y == 1] > limit), np.mean(p[y == 0] > limit)
         print(f"above {limit}: {right:.3f} of the right, {wrong:.4f} of the wrong")
     d2 = np.array([e.mahalanobis2 for e in found if e.right and np.isfinite(e.mahalanobis2)])
-    print(f"rotation: mean d2 / 3 = {np.mean(np.minimum(d2, 30)) / 3:.3f}, inside 95 %: {np.mean(d2 < 7.815):.3f}")
+    print(f"rotation: mean d2 / 3 = {np.mean(np.minimum(d2, 30)) / 3:.3f}, inside 95 %: {np.mean(d2 < CHI2_3):.3f}")
     print(f"wrote {path}")
 
 

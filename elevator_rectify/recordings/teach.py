@@ -18,7 +18,7 @@ from elevator_rectify.arguments import count, positive
 from elevator_rectify.core import Camera, Config, Detection, GridFit, KnownPanel, ScaleConfig, detect_buttons, fit_panel
 from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.known.file import panel_text
-from elevator_rectify.core.known.teach import View, joined, taught
+from elevator_rectify.core.known.teach import View, joined, taught, unteachable
 from elevator_rectify.core.types import Image
 from elevator_rectify.core.view.text_grid import LEGEND, text_grid
 from elevator_rectify.progress import progress
@@ -79,11 +79,9 @@ def learnt(views: list[Taken], name: str, config: Config) -> tuple[KnownPanel, l
     for view in progress(views, "fit", len(views)):
         fit = fit_panel(view.detections, view.camera, config, image=view.image)
         fits.append((view, with_labels(fit, view.image, view.camera)))
-        if not fit.ok:
-            print(f"{view.name}: left out: {fit.status}: {fit.reason}")
-        elif min(fit.rows, fit.columns) < 2:
-            print(f"{view.name}: left out: one row or one column cannot be taught")
-    accepted = [(view, fit) for view, fit in fits if fit.ok and min(fit.rows, fit.columns) > 1]
+        if why := unteachable(fit):
+            print(f"{view.name}: left out: {why}")
+    accepted = [(view, fit) for view, fit in fits if not unteachable(fit)]
     if not accepted:
         return None
     view, fit = max(accepted, key=lambda item: (item[1].inliers, item[1].confidence))

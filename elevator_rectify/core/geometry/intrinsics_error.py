@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.config import JointConfig
-from elevator_rectify.core.geometry.pose import place_jacobian
+from elevator_rectify.core.geometry.pose import place_jacobian, projection_jacobian
 from elevator_rectify.core.types import Array, FitResult, FitT
 
 # A taught panel leaves open the pose and the ratio of the pitches, outlines tell the rotation by themselves.
@@ -36,11 +36,8 @@ def with_intrinsics_error(fit: FitT, config: JointConfig) -> FitT:
 def _response(fit: FitResult, panel: Array) -> Array:
     """Return d(t, rotation, shape) / d(ln focal length, radial coefficient) (6 + S, 2), by places (K, 2)."""
     point = panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
-    rays, inverse = point[:, :2] / point[:, 2:], 1.0 / point[:, 2]
-    d_rays = np.zeros((len(panel), 2, 3))
-    d_rays[:, 0, 0] = d_rays[:, 1, 1] = inverse
-    d_rays[:, :, 2] = -rays * inverse[:, None]
-    J = (d_rays @ place_jacobian(fit, panel)[:, :3]).reshape(2 * len(panel), -1)
+    rays = point[:, :2] / point[:, 2:]
+    J = (projection_jacobian(point) @ place_jacobian(fit, panel)[:, :3]).reshape(2 * len(panel), -1)
     moved = np.stack([rays, rays * (rays**2).sum(axis=1, keepdims=True)], axis=-1).reshape(2 * len(panel), 2)
     free = _FREE.get("known" if fit.known is not None else fit.method, J.shape[1])
     response = np.zeros((J.shape[1], 2))

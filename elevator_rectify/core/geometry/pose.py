@@ -55,14 +55,18 @@ def lattice_jacobian(lattice: Array, pose: LatticePose) -> Array:
     """
     plane = lattice * np.array([1.0, pose.aspect])
     arm = plane @ pose.R[:, :2].T
-    points = arm + pose.t
-    x, y, inverse = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1.0 / points[:, 2]
-    zero = np.zeros_like(x)
-    d_point = np.stack(
-        [np.stack([inverse, zero, -x * inverse], axis=-1), np.stack([zero, inverse, -y * inverse], axis=-1)], axis=1
-    )
+    d_point = projection_jacobian(arm + pose.t)
     stretch = plane[:, 1:] * pose.R[:, 1]
     return np.concatenate([d_point, -d_point @ cross_matrix(arm), d_point @ stretch[:, :, None]], axis=2)
+
+
+def projection_jacobian(points: Array) -> Array:
+    """Return d(x, y) / d(point) (N, 2, 3) of the rays (x, y) to points (N, 3)."""
+    x, y, inverse = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1.0 / points[:, 2]
+    zero = np.zeros_like(x)
+    return np.stack(
+        [np.stack([inverse, zero, -x * inverse], axis=-1), np.stack([zero, inverse, -y * inverse], axis=-1)], axis=1
+    )
 
 
 def cross_matrix(v: Array) -> Array:
@@ -111,11 +115,12 @@ def covariance_at(fit: FitResult, panel: Array) -> Array:
     The errors of the aspect and of the gaps move a place along the panel, that of the scale along its line of sight;
     those of the camera's calibration are in it too.
     """
-    found = residual_covariance_at(fit, panel)
+    T, response = place_jacobian(fit, panel), fit.intrinsics_response
+    whole = fit.shape_covariance + response @ response.T if response.size else fit.shape_covariance
+    found = T @ whole @ np.swapaxes(T, 1, 2)
     point = panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
     found[:, :3, :3] += fit.scale_std_share**2 * point[:, :, None] * point[:, None, :]
-    moved = moved_by_intrinsics(fit, panel)
-    return np.asarray(found + moved @ np.swapaxes(moved, 1, 2))
+    return np.asarray(found)
 
 
 def residual_covariance_at(fit: FitResult, panel: Array) -> Array:

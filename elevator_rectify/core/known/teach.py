@@ -13,7 +13,7 @@ from elevator_rectify.core.geometry.pose import on_plane
 from elevator_rectify.core.known.evidence import distribution
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.plates import PLATE
-from elevator_rectify.core.types import Array, Button, KnownPanel
+from elevator_rectify.core.types import Array, Button, FitResult, KnownPanel
 
 # A label that is less probable in every view is left open.
 _LEAST_LABEL = 0.5
@@ -27,13 +27,20 @@ class View:
     camera: Camera
 
 
+def unteachable(fit: FitResult) -> str:
+    """Return why a fit cannot teach its panel, '' where it can."""
+    if not fit.ok:
+        return f"a panel is taught by an accepted fit, this one is {fit.status}: {fit.reason}"
+    if min(fit.rows, fit.columns) < 2:
+        return "one row or one column of buttons cannot be taught: its centres do not determine a pose"
+    return ""
+
+
 def taught(view: View, name: str) -> KnownPanel:
     """Return the panel as one view shows it. Raises ValueError where the fit was refused, or is of a single line."""
     fit = view.fit
-    if not fit.ok:
-        raise ValueError(f"a panel is taught by an accepted fit, this one is {fit.status}: {fit.reason}")
-    if min(fit.rows, fit.columns) < 2:
-        raise ValueError("one row or one column of buttons cannot be taught: its centres do not determine a pose")
+    if why := unteachable(fit):
+        raise ValueError(why)
     buttons = [b for b in fit.buttons if _is_button(fit, b)]
     seen = fit.measurement
     residual = seen.residual * float(fit.pitch[0]) if seen is not None else fit.rms_px * _unit_per_px(fit)

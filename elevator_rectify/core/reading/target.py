@@ -109,14 +109,14 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
 
 
 def _weighed(fit: GridFit, button: Button, probability: float) -> bool:
-    """Tell whether a label was read with all its alternatives, and is sure by the whole panel: of 31 such that were
+    """Tell whether a label was read with all its alternatives, and is sure by the whole panel: of 26 such that were
     read with low scores none was wrong."""
-    return probability >= _BY_PANEL and bool(fit.reading.places.read_at(_index_of(fit, button)))
+    return probability >= _BY_PANEL and bool(fit.reading.places.read_at(index_of(fit, button)))
 
 
 def _of_taught(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
     """Refuse a button of a taught panel that is not seen, or is surely read as another."""
-    if not fit.reading.places.filled[_index_of(fit, button)]:
+    if not fit.reading.places.filled[index_of(fit, button)]:
         return Choice(None, "occluded", f"{name} is not seen where '{_name(fit)}' has it")
     read = canonical(button.read)
     if read not in ("", name) and button.score >= _SURELY_READ:
@@ -131,7 +131,8 @@ def _name(fit: GridFit) -> str:
     return "" if fit.known is None else fit.known.name
 
 
-def _index_of(fit: GridFit, button: Button) -> int:
+def index_of(fit: GridFit, button: Button) -> int:
+    """Return which of the fit's buttons it is."""
     return next(k for k, b in enumerate(fit.buttons) if b is button)
 
 
