@@ -34,7 +34,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", glob("config/*.yaml") + glob("config/*.xml") + glob("config/*.rviz")),
+        (f"share/{NAME}/config", [path for path in glob("config/*") if not path.endswith(".txt")]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
         *files_below("bags/paper_5x5"),
     ],

@@ -1,3 +1,4 @@
+import json
 import re
 from pathlib import Path
 
@@ -5,6 +6,7 @@ import pytest
 import yaml
 
 from elevator_rectify.ros.documentation import all_parameters, parameter_page, parameter_yaml
+from elevator_rectify.ros.output import TARGET, TOPICS
 
 ROOT = Path(__file__).parent.parent
 
@@ -34,6 +36,22 @@ def test_pages_link_to_pages_that_exist() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+
+
+@pytest.mark.parametrize("name", ["elevator_rectify.rviz", "elevator_rectify.foxglove.json"])
+def test_what_is_shown_is_published(name: str) -> None:
+    shown = re.findall(r"/elevator_rectify/([a-z_/]+)", (ROOT / "config" / name).read_text())
+    assert len(shown) >= 4
+    assert set(shown) <= {*TOPICS, *TARGET}
+
+
+def test_every_panel_of_the_foxglove_layout_has_its_place() -> None:
+    layout = json.loads((ROOT / "config" / "elevator_rectify.foxglove.json").read_text())
+    places: list[object] = [layout["layout"]]
+    for place in places:
+        if isinstance(place, dict):
+            places += [place["first"], place["second"]]
+    assert sorted(str(p) for p in places if isinstance(p, str)) == sorted(layout["configById"])
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda path: path.stem)
