@@ -159,6 +159,33 @@ def test_a_misread_button_is_named_by_its_plate_too() -> None:
     assert choice.button is not None and (choice.button.row, choice.button.column) == (5, 1)
 
 
+def printed_left(blank: Sequence[int], score: float = 0.97) -> GridFit:
+    """The fit to a panel of two columns of plates, each with its buttons to the right, of which those in the given rows
+    show no print."""
+    view, given = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3), []
+    for detection, button in zip(view.detections, view.button, strict=True):
+        row, column = divmod(int(button), 4)
+        floor = str(12 - 2 * row + column // 2 if column % 2 == 0 else 40 - 2 * row + column // 2)
+        soft = (("8", 0.2), ("open", 0.1)) if column % 2 and row in blank else ((floor, score),)
+        label = soft[0][0] if soft[0][1] > 0.5 else ""
+        given.append(replace(detection, label=label, score=soft[0][1], readings=soft))
+    return fit_panel(given, view.camera, METRIC)
+
+
+def test_what_may_be_the_plate_of_a_blank_button_is_pressed_only_where_plates_are_said_to_be_left_of_theirs() -> None:
+    fit = printed_left(range(6))
+    choice = find_button(fit, "7")
+    assert choice.button is None and choice.status == "two_candidates" and "plate" in choice.reason
+    beside = find_button(fit, "7", TargetConfig(plates_on_left=True)).button
+    assert beside is not None and (beside.row, beside.column) == (3, 3) and beside.read == ""
+
+
+def test_buttons_beside_some_that_cannot_be_read_are_no_plates() -> None:
+    for fit in (printed_left([0, 3]), printed_left(range(6), score=0.85)):
+        choice = find_button(fit, "7")
+        assert choice.button is not None and (choice.button.row, choice.button.column) == (3, 2)
+
+
 def test_two_pairs_are_no_plates() -> None:
     fit = fitted({0: "30", 1: "30", 3: "31", 4: "31"})
     assert "plate" not in {b.label for b in fit.buttons} and find_button(fit, "30").button is None

@@ -2,16 +2,19 @@
 
 Raised characters stand immediately to the left of their button (ADA Standards 407.4.7.1.2, ASME A17.1): where
 neighbours in a row are read alike, two by two, the left ones are plates, and what they say is the right ones' label.
+Where the left ones are read and the right ones show nothing to read, it is not known which of them to press.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from elevator_rectify.core.reading.places import PanelPlaces
+from elevator_rectify.core.types import Detection
 
 # What such a plate is called.
 PLATE = "plate"
@@ -21,6 +24,11 @@ _FEWEST_PAIRS, _LEAST_SHARE, _SAME_ROW, _NEXT = 3, 0.3, 0.35, 1.35
 _ALIKE = 0.2
 # A label that may go on with a letter ('2' as '2R', of the rear door) is another one's.
 _LONGER = 0.1
+# A print is surely read with this probability, and a button shows none where no label has so much; of so large a share
+# of the neighbours in two columns the left one is read and the right one is not.
+_PRINTED, _BLANK, _MOSTLY = 0.9, 0.5, 0.75
+# A button is no farther from its plate than so many of their widths.
+_BESIDE = 2.0
 # Whatever is read may be anything else with this probability; labels below the other are not told.
 _ANYTHING, _TOLD = 0.02, 1e-3
 
@@ -49,6 +57,40 @@ def without_plates(places: PanelPlaces) -> PanelPlaces:
             readings[right] = _both(readings[left], readings[right])
         label[left], readings[left] = PLATE, ((PLATE, 1.0),)
     return replace(places, label=tuple(label), score=score, readings=tuple(readings))
+
+
+def blank_beside(places: PanelPlaces, detections: Sequence[Detection]) -> dict[int, int]:
+    """Return, for each place that may be a plate, the place of the button without print beside it, -1 where none was
+    detected.
+
+    In their two columns nearly all the left ones are read and hardly any of the right ones, and hardly anywhere on the
+    panel are neighbours both read. Only what was read as a distribution counts: other detectors leave out labels that
+    are there.
+    """
+    columns: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for left, right in _neighbours(places) if places.readings else ():
+        if places.label[left] != PLATE and _near(*(detections[places.detection[k]] for k in (left, right))):
+            columns.setdefault((_column(places, left), _column(places, right)), []).append((left, right))
+    printed = [max((p for _, p in places.read_at(k)), default=0.0) for k in range(len(places.label))]
+    telling = {at: sum(_tells(printed, pair) for pair in pairs) for at, pairs in columns.items()}
+    against = sum(min(printed[left], printed[right]) >= _PRINTED for pairs in columns.values() for left, right in pairs)
+    plates = [at for at, pairs in columns.items() if telling[at] >= _MOSTLY * len(pairs)]
+    number = sum(telling[at] for at in plates)
+    if number < _FEWEST_PAIRS or against > (1.0 - _MOSTLY) * number:
+        return {}
+    left_columns = {left for left, _ in plates}
+    alone = {k: -1 for k in range(len(printed)) if _column(places, k) in left_columns}
+    return alone | {left: right for at in plates for left, right in columns[at]}
+
+
+def _tells(printed: list[float], pair: tuple[int, int]) -> bool:
+    """Tell whether the left one of two is surely read and the right one shows nothing to read."""
+    return printed[pair[0]] >= _PRINTED and printed[pair[1]] < _BLANK
+
+
+def _near(one: Detection, other: Detection) -> bool:
+    """Tell whether two stand as near to each other as a plate and its button."""
+    return abs(one.x_px - other.x_px) <= _BESIDE * max(one.width_px, other.width_px)
 
 
 def _columns(places: PanelPlaces, pairs: list[tuple[int, int]]) -> set[tuple[int, int]]:

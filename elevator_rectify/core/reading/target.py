@@ -12,6 +12,7 @@ from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.misread import is_number
 from elevator_rectify.core.reading.panel import others_at, probability_of
+from elevator_rectify.core.reading.plates import blank_beside
 from elevator_rectify.core.types import Array, Button
 
 DEFAULT_TARGET = TargetConfig()
@@ -68,7 +69,24 @@ def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET
     if others:
         return Choice(None, "two_candidates", f"the cell of {name} is read as {', '.join(sorted(others))} too")
     choice = _decided(fit, button, name, first * (1.0 - second), config)
-    return choice if choice.button is None else replace(choice, others=others_at(fit.reading, int(order[0]), name))
+    if choice.button is None:
+        return choice
+    choice = _beside_plate(fit, int(order[0]), choice, config)
+    return replace(choice, others=others_at(fit.reading, int(order[0]), name))
+
+
+def _beside_plate(fit: GridFit, k: int, choice: Choice, config: TargetConfig) -> Choice:
+    """Refuse what may be the plate of a button without print, or choose that one where plates are said to have it."""
+    blank = {} if fit.known is not None else blank_beside(fit.reading.places, fit.detections)
+    if k not in blank:
+        return choice
+    if config.plates_on_left and blank[k] >= 0:
+        return replace(_placed(fit, fit.buttons[blank[k]], config), probability=choice.probability)
+    reason = (
+        f"what is read {_place_of(fit.buttons[k])} may be the plate of the button without print beside it; "
+        "target.plates_on_left is off"
+    )
+    return Choice(None, "two_candidates", reason)
 
 
 def _place_of(button: Button) -> str:
