@@ -70,6 +70,8 @@ class Answer:
     labels: LabelsConfig = field(default_factory=LabelsConfig)
     placement: Placement | None = None
     patches: Patches | None = None
+    # What the frames so far say of the camera's calibration, '' while they do not tell.
+    calibration: str = ""
 
     @cached_property
     def buttons(self) -> tuple[Button, ...]:

@@ -84,6 +84,11 @@ class CameraCheck:
             return str(self.estimate)
         return f"not yet known: {len(self._sightings)} views from different sides, {_AT_VIEWS[0]} needed"
 
+    @property
+    def found(self) -> str:
+        """Return the finding, '' while the views do not tell."""
+        return "" if self.estimate is None else str(self.estimate)
+
     def warning(self) -> str:
         """Return once what is wrong with the calibration, '' where nothing surely is."""
         if self._told or self.estimate is None or not self.estimate.significant:

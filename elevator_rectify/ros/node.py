@@ -249,7 +249,7 @@ class ElevatorRectify(Node):
         self._check_camera(answer, frame)
         if answer.fit.status == "contradicted" and self._hints.advice:
             answer = replace(answer, fit=replace(answer.fit, reason=f"{answer.fit.reason}; {self._hints.advice}"))
-        self._publish(answer)
+        self._publish(replace(answer, calibration=self._camera_check.found))
         if asked:
             self._answer_goals(answer, frame)
 

@@ -178,6 +178,7 @@ def status_message(answer: Answer, make: Make) -> Any:
         "unit": "m" if fit.metric else "column pitch",
         "scale": answer.scale,
         "detections_from": answer.detections_from,
+        "calibration": answer.calibration,
         "panel": "" if fit.known is None else fit.known.name,
         "target": answer.target,
         "target_status": "" if answer.choice is None else answer.choice.status,
