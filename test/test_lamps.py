@@ -74,6 +74,19 @@ def test_a_lamp_that_was_lit_before_is_not_confirmed() -> None:
     assert confirmed(state) is None and ended(state).status == "not_lit"
 
 
+def test_a_lamp_that_blinks_is_called_so() -> None:
+    lit, dark = (seen(picture(lamps)) for lamps in (frozenset({NUMBER}), frozenset()))
+    for after in ([lit, dark, lit, dark], [lit, dark, dark, lit, dark]):
+        state = watch(*after)
+        assert confirmed(state) is None and ended(state).status == "blinks" and "2 of" in ended(state).reason
+
+
+def test_a_label_that_two_buttons_have_is_not_called_hidden() -> None:
+    twice = replace(seen(picture()), labels=tuple("7" if k == "8" else k for k in seen(picture()).labels))
+    state = watched(Watch("7", reference_of([twice])), twice)
+    assert state.sights[-1].problem == "7 is read on 2 buttons"
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_finger_on_the_button_is_no_lamp(seed: int) -> None:
     size = box_sizes_px(SCENE.panel, SCENE.camera, SCENE.R_camera_panel, SCENE.t_camera_panel)[NUMBER]

@@ -17,6 +17,8 @@ REFERENCES, JUDGED = 3, 5
 _AGREEING, _LIT = 3, 3.0
 # It surely did not go on below this mean.
 _NOT_LIT = -2.0
+# A lamp that is surely lit in so many of these frames, and surely dark in as many, blinks.
+_BLINKS = 2
 # So many frames without the panel in the end: it was left, or a door opened.
 _LEFT = 5
 # Buttons of two frames are the same within so many pitches; so large a share of the panel must be the same.
@@ -108,6 +110,8 @@ def changed(before: Patches, now: Patches, label: str) -> Array | str:
     """Return the features of what changed of the button of a label, or why nothing can be said."""
     pairs = same_buttons(before, now)
     of_it = [k for k, (i, _) in enumerate(pairs) if before.labels[i] == label]
+    if before.labels.count(label) > 1:
+        return f"{label} is read on {before.labels.count(label)} buttons"
     if len(of_it) != 1:
         return f"{label} is hidden" if len(pairs) else ANOTHER
     found = features(_chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1]), of_it[0])
@@ -173,7 +177,10 @@ def ended(watch: Watch) -> Pressed:
     if len(last) < _AGREEING:
         why = watch.sights[-1].problem if watch.sights else ""
         return Pressed("unseen", f"{len(last)} frames show {watch.label} since{': ' + why if why else ''}")
-    mean = float(np.mean(last))
+    mean, lit = float(np.mean(last)), sum(odds > _LIT for odds in last)
+    if min(lit, sum(odds < _NOT_LIT for odds in last)) >= _BLINKS:
+        reason = f"{lit} of {len(last)} frames show the lamp of {watch.label} lit, others dark"
+        return Pressed("blinks", reason, _probability(mean))
     if mean < _NOT_LIT:
         return Pressed("not_lit", f"nothing of {watch.label} changed: not lit, or lit before", 1.0 - _probability(mean))
     return Pressed("unseen", f"what is seen of {watch.label} tells neither", _probability(mean))
