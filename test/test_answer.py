@@ -97,7 +97,8 @@ def test_a_depth_image_that_cannot_be_used_leaves_the_orientation() -> None:
     centres = detections(1, frontal.centres_px)
     good, _ = answer_frame(frame(1, detections=centres, depth=depth("32FC1", 0.6)), Config())
     assert status(replace(good, calibration="focal length 1.04"))["calibration"] == "focal length 1.04"
-    assert status(good)["scale"] == "depth" and not status(good)["calibration"] and good.fit.t_camera_panel[2] == pytest.approx(0.6, rel=0.02)
+    assert not status(good)["calibration"]
+    assert status(good)["scale"] == "depth" and good.fit.t_camera_panel[2] == pytest.approx(0.6, rel=0.02)
     bad, _ = answer_frame(frame(1, detections=centres, depth=depth("bgr8", 0.6)), Config())
     assert bad.fit.ok and status(bad)["scale"].startswith("unknown: depth: encoding = bgr8")
 

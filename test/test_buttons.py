@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from elevator_rectify.core import Config, Detection, GridFit, find_button, fit_panel, fit_panels
-from elevator_rectify.core.config import ScaleConfig, TargetConfig
+from elevator_rectify.core.config import LabelsConfig, ScaleConfig, TargetConfig
 from elevator_rectify.core.reading.labels import aliases, canonical
 from elevator_rectify.core.reading.target import lateral_std
 from elevator_rectify.core.types import Array
@@ -159,7 +159,7 @@ def test_a_misread_button_is_named_by_its_plate_too() -> None:
     assert choice.button is not None and (choice.button.row, choice.button.column) == (5, 1)
 
 
-def printed_left(blank: Sequence[int], score: float = 0.97) -> GridFit:
+def printed_left(blank: Sequence[int], score: float = 0.97, config: Config = METRIC) -> GridFit:
     """The fit to a panel of two columns of plates, each with its buttons to the right, of which those in the given rows
     show no print."""
     view, given = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3), []
@@ -169,15 +169,17 @@ def printed_left(blank: Sequence[int], score: float = 0.97) -> GridFit:
         soft = (("8", 0.2), ("open", 0.1)) if column % 2 and row in blank else ((floor, score),)
         label = soft[0][0] if soft[0][1] > 0.5 else ""
         given.append(replace(detection, label=label, score=soft[0][1], readings=soft))
-    return fit_panel(given, view.camera, METRIC)
+    return fit_panel(given, view.camera, config)
 
 
 def test_what_may_be_the_plate_of_a_blank_button_is_pressed_only_where_plates_are_said_to_be_left_of_theirs() -> None:
     fit = printed_left(range(6))
     choice = find_button(fit, "7")
     assert choice.button is None and choice.status == "two_candidates" and "plate" in choice.reason
-    beside = find_button(fit, "7", TargetConfig(plates_on_left=True)).button
-    assert beside is not None and (beside.row, beside.column) == (3, 3) and beside.read == ""
+    said = printed_left(range(6), config=replace(METRIC, labels=LabelsConfig(plates_on_left=True)))
+    button = find_button(said, "7").button
+    assert button is not None and (button.row, button.column) == (3, 3) and button.read == ""
+    assert button.label == "7" and {b.label for b in said.buttons if b.column % 2 == 0} == {"plate"}
 
 
 def test_buttons_beside_some_that_cannot_be_read_are_no_plates() -> None:

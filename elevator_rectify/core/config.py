@@ -258,6 +258,9 @@ class LabelsConfig(Checked):
     min_inference: float = value(
         0.5, "probability from which on a button without a read label gets one", low=0.0, high=1.0
     )
+    plates_on_left: bool = value(
+        False, "prints to the left of buttons without print are their labels; else neither of the two is pressed"
+    )
 
 
 @dataclass(frozen=True)
@@ -274,9 +277,6 @@ class TargetConfig(Checked):
         0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )
     allow_inferred: bool = value(False, "buttons that were neither detected nor read may be pressed")
-    plates_on_left: bool = value(
-        False, "where plates are read and the buttons to their right show no print, those are pressed; else none is"
-    )
     max_lateral_std_m: float = value(
         0.01,
         "largest standard deviation of a button's place across the pressing direction, the camera's calibration aside",

@@ -65,7 +65,8 @@ def fit_panel(
     if image is not None and config.measurement.witness:
         fit = _upright(fit, camera, previous, image, given)
         fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))
-    return GridFit.of(with_intrinsics_error(fit, config.joint), detections=given)
+    fit = with_intrinsics_error(fit, config.joint)
+    return GridFit.of(fit, detections=given, plates_on_left=config.labels.plates_on_left)
 
 
 def with_pitches(config: Config) -> Config:

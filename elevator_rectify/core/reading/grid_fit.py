@@ -16,8 +16,11 @@ from elevator_rectify.core.types import Button, FitResult
 class GridFit(FitResult):
     """The fitted grid and the panel's pose, or the reason why there is none, with the panel's buttons.
 
-    Labels and buttons are worked out when first asked for.
+    Labels and buttons are worked out when first asked for. plates_on_left: prints to the left of buttons without print
+    are their labels.
     """
+
+    plates_on_left: bool = False
 
     @classmethod
     def of(cls, fit: FitResult, **changes: Any) -> GridFit:
@@ -27,7 +30,7 @@ class GridFit(FitResult):
     @cached_property
     def reading(self) -> Reading:
         """Return what the panel's labels and layout say of its places."""
-        return read_panel(self)
+        return read_panel(self, self.plates_on_left)
 
     @cached_property
     def buttons(self) -> tuple[Button, ...]:

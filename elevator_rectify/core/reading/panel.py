@@ -10,7 +10,7 @@ from elevator_rectify.core.reading.filled import missed
 from elevator_rectify.core.reading.keypad import is_keypad, signs
 from elevator_rectify.core.reading.misread import is_number, right_alone
 from elevator_rectify.core.reading.places import PanelPlaces, places_of
-from elevator_rectify.core.reading.plates import without_plates
+from elevator_rectify.core.reading.plates import without_plates, without_printed_plates
 from elevator_rectify.core.reading.sequence import Floors, floors_of
 from elevator_rectify.core.types import Array, BoolArray, FitResult
 
@@ -51,12 +51,15 @@ class Reading:
     taught: Array | None = None
 
 
-def read_panel(fit: FitResult) -> Reading:
-    """Return the reading of a fit that has a grid."""
+def read_panel(fit: FitResult, plates_on_left: bool = False) -> Reading:
+    """Return the reading of a fit that has a grid; plates_on_left: what stands to the left of a button without print is
+    its label."""
     places = places_of(fit)
     if fit.known is not None:
         return _taught(fit, places)
     places = without_plates(places)
+    if plates_on_left:
+        places = without_printed_plates(places, fit.detections)
     keypad = is_keypad(places)
     if keypad:
         places = replace(places, label=signs(places), readings=())

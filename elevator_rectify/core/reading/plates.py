@@ -83,6 +83,17 @@ def blank_beside(places: PanelPlaces, detections: Sequence[Detection]) -> dict[i
     return alone | {left: right for at in plates for left, right in columns[at]}
 
 
+def without_printed_plates(places: PanelPlaces, detections: Sequence[Detection]) -> PanelPlaces:
+    """Return the places with what may be the plates of buttons without print named as such, and their labels as those
+    of the buttons."""
+    label, score, readings = list(places.label), places.score.copy(), list(places.readings)
+    for plate, button in blank_beside(places, detections).items():
+        if button >= 0:
+            label[button], score[button], readings[button] = label[plate], score[plate], readings[plate]
+        label[plate], readings[plate] = PLATE, ((PLATE, 1.0),)
+    return replace(places, label=tuple(label), score=score, readings=tuple(readings))
+
+
 def _tells(printed: list[float], pair: tuple[int, int]) -> bool:
     """Tell whether the left one of two is surely read and the right one shows nothing to read."""
     return printed[pair[0]] >= _PRINTED and printed[pair[1]] < _BLANK

@@ -71,22 +71,13 @@ def find_button(fit: GridFit, target: str, config: TargetConfig = DEFAULT_TARGET
     choice = _decided(fit, button, name, first * (1.0 - second), config)
     if choice.button is None:
         return choice
-    choice = _beside_plate(fit, int(order[0]), choice, config)
+    if fit.known is None and order[0] in blank_beside(fit.reading.places, fit.detections):
+        reason = (
+            f"what is read {_place_of(button)} may be the plate of the button without print beside it; "
+            "labels.plates_on_left is off"
+        )
+        return Choice(None, "two_candidates", reason)
     return replace(choice, others=others_at(fit.reading, int(order[0]), name))
-
-
-def _beside_plate(fit: GridFit, k: int, choice: Choice, config: TargetConfig) -> Choice:
-    """Refuse what may be the plate of a button without print, or choose that one where plates are said to have it."""
-    blank = {} if fit.known is not None else blank_beside(fit.reading.places, fit.detections)
-    if k not in blank:
-        return choice
-    if config.plates_on_left and blank[k] >= 0:
-        return replace(_placed(fit, fit.buttons[blank[k]], config), probability=choice.probability)
-    reason = (
-        f"what is read {_place_of(fit.buttons[k])} may be the plate of the button without print beside it; "
-        "target.plates_on_left is off"
-    )
-    return Choice(None, "two_candidates", reason)
 
 
 def _place_of(button: Button) -> str:
