@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
+import pytest
 
 from elevator_rectify.core import Camera, KnownPanel
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad
-from elevator_rectify.core.types import Array
+from elevator_rectify.core.reading import reader
+from elevator_rectify.core.types import Array, Image
 from elevator_rectify.render.panel import PITCH_M, Panel, regular_panel
 from elevator_rectify.render.scene import PAPER_K, DetectorModel, Scene, Viewpoint, make_scene, paper_camera
 
@@ -61,3 +66,15 @@ def known_of(panel: Panel, name: str = "lobby") -> KnownPanel:
         row_block=np.zeros(rows, dtype=np.int64),
         column_block=np.zeros(columns, dtype=np.int64),
     )
+
+
+def patches_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list that grows by the number of patches whenever some are read."""
+    counts, logits_of = list[int](), reader.logits_of
+
+    def logits(patches: Sequence[Image], weights: Path = reader.WEIGHTS) -> Array:
+        counts.append(len(patches))
+        return logits_of(patches, weights)
+
+    monkeypatch.setattr(reader, "logits_of", logits)
+    return counts

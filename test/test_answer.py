@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from elevator_rectify.benchmark.pictures import pictured
 from elevator_rectify.core import Config, ScaleConfig, fit_panel, rectify_image
 from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.view.draw import draw_rectified
@@ -19,7 +20,7 @@ from elevator_rectify.ros.output import output_messages
 from elevator_rectify.ros.pairing import Frame
 from elevator_rectify.ros.poses import rotation_of
 from test.messages import camera_info, detections, header, image
-from test.scenes import scene
+from test.scenes import patches_read, scene
 
 VIEW = scene(2, tilt_deg=20.0, sigma_px=0.5)
 ALONE = NodeConfig(track=False)
@@ -45,6 +46,21 @@ def test_tracking_starts_from_the_last_fit_and_survives_a_refused_frame() -> Non
     assert not refused.fit.ok and track is not None
     answer, after = answer_frame(frame(3), Config(), track=track)
     assert answer.fit.ok and after is not None and after.stamp_ns == 3
+
+
+def test_labels_are_read_at_keyframes_and_where_a_frame_must_say_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    given, read, track = pictured("easy", 60, 0, held_out=True), patches_read(monkeypatch), None
+    labels, counts = [], []
+    for tenth in (1, 2, 5, 6, 7):
+        wanted = ("labels", "reading") if tenth == 7 else ("labels",)
+        stamp = tenth * 100_000_000
+        one = Frame(image(stamp, given.image), camera_info(stamp, given.scene.camera), None)
+        read.clear()
+        answer, track = answer_frame(one, Config(), wanted, track=track)
+        counts.append(sum(read))
+        labels.append([d.label for d in answer.fit.detections])
+    assert counts[1] == counts[2] == 0 and min(counts[0], counts[3], counts[4]) >= len(labels[0])
+    assert len(set(map(tuple, labels))) == 1 and sum(label != "" for label in labels[0]) > 0.5 * len(labels[0])
 
 
 def test_nothing_is_made_for_topics_without_a_listener() -> None:

@@ -37,6 +37,7 @@ from elevator_rectify.core.reading.reader import (
 )
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, SLOTS, SYMBOLS, encoded
 from elevator_rectify.core.types import FitResult, Image
+from test.scenes import patches_read
 
 
 @examples(st.text(CHARACTERS, min_size=1, max_size=SLOTS))
@@ -165,6 +166,27 @@ def test_buttons_that_nobody_detected_are_read_where_the_picture_shows_them() ->
     metric = replace(fit, metric=True)
     pressed = find_button(metric, known[next(iter(fit.undetected))], TargetConfig(max_lateral_std_m=1.0))
     assert pressed.status == "found" and pressed.button is not None and pressed.button.detection == -1
+
+
+def test_buttons_that_stayed_where_they_were_are_not_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = pictured("easy", 60, 4, held_out=True)
+    camera, unread = given.scene.camera, [replace(d, label="") for d in given.scene.detections]
+    kept = [d for k, d in enumerate(unread) if k % 5 != 2]
+    first = with_labels(fit_panel(kept, camera, image=given.image), given.image, camera)
+    again = fit_panel(kept[::-1], camera, previous=first, image=given.image)
+    counts = patches_read(monkeypatch)
+    second = with_labels(again, given.image, camera, first)
+    assert sum(counts) == 0 and second.detections == first.detections[::-1]
+    labels = [{cell: d.label for cell, d in f.undetected.items() if d is not None} for f in (first, second)]
+    assert labels[0] == labels[1] and labels[0]
+    # One more button is read alone; a panel that is seen from another row on is read as a whole.
+    more = fit_panel([*kept, unread[2]], camera, image=given.image)
+    counts.clear()
+    third = with_labels(more, given.image, camera, replace(first, undetected=first.undetected))
+    assert third.detections[:-1] == first.detections and third.detections[-1].label and sum(counts) == 1
+    moved = replace(first, t_camera_panel=first.t_camera_panel + first.pitch[1] * first.R_camera_panel[:, 1])
+    counts.clear()
+    assert with_labels(more, given.image, camera, moved).ok and sum(counts) >= len(kept)
 
 
 def test_what_reads_as_no_button_is_an_empty_cell() -> None:

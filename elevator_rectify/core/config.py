@@ -301,7 +301,10 @@ class NetworkConfig(Checked):
         0.65, "the same where fewer than six are found: no lattice tells them from other things then", low=0.0, high=1.0
     )
     keyframe_s: float = value(
-        0.5, "the detector looks this often; between, the boxes follow the picture; 0: every frame", low=0.0, high=100.0
+        0.5,
+        "the detector looks, and the reader reads, this often; between, boxes and labels follow; 0: every frame",
+        low=0.0,
+        high=100.0,
     )
 
 

@@ -19,7 +19,7 @@ _SAME_LINE = 0.1
 @dataclass(frozen=True)
 class Track:
     """The last accepted fit as measured; its smoothed pose and shape (S,), with their covariance (6 + S, 6 + S); the
-    image's stamp."""
+    image's stamp. read: the last fit with labels, and the stamp of the image that they were read in."""
 
     fit: FitResult
     R: Array
@@ -27,6 +27,14 @@ class Track:
     shape: Array
     covariance: Array
     stamp_ns: int
+    read: FitResult | None = None
+    read_ns: int = 0
+
+
+def recently_read(track: Track | None, stamp_ns: int, seconds: float) -> FitResult | None:
+    """Return the last fit with labels, where they were read so little before."""
+    young = track is not None and 0 <= stamp_ns - track.read_ns < 1e9 * seconds
+    return track.read if track is not None and young else None
 
 
 def recent(track: Track | None, stamp_ns: int, config: SmoothingConfig) -> FitResult | None:

@@ -20,7 +20,7 @@ from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.target import Choice, find_button
-from elevator_rectify.core.track import Track, recent, smoothed
+from elevator_rectify.core.track import Track, recent, recently_read, smoothed
 from elevator_rectify.core.types import Array, Button, Detection, FitResult, Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import Rectification, rectify_image
@@ -106,8 +106,9 @@ def answer_frame(
     """Convert, fit, scale, smooth, draw. A bad message gives the status 'bad_input' and the reason; nothing is raised.
 
     wanted: which pictures to make, of 'rectified', 'overlay' and 'rectified_overlay', 'placement' for where boxes that
-    the picture contradicts would belong, and 'patches' for what the buttons look like; without any, and with nothing to
-    measure in it, the image is checked but not converted.
+    the picture contradicts would belong, 'patches' for what the buttons look like, and 'reading' for labels that are
+    read in this very frame, where those of frames just before would do; without any, and with nothing to measure in it,
+    the image is checked but not converted.
     track: of the frames before, where `node.track` is on; the new one is returned. target: label of the button that is
     to be pressed, '' for none. found: what our own detector found in the frame before (`Answer.found`); it looks where
     the frame has no detections.
@@ -124,11 +125,16 @@ def answer_frame(
     stamp = stamp_ns(frame.image.header)
     fit, scale = _fit(given, config, recent(track, stamp, config.smoothing), node.measure)
     fit = of_own_boxes(fit, config) if given.found is not None else fit
+    before = track
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp, config.smoothing)
     watch.lap("fit")
-    if given.image is not None and reads:
-        fit = with_labels(fit, given.image, given.camera)
+    if given.image is not None and reads and fit.ok:
+        last = None if "reading" in wanted else recently_read(before, stamp, config.network.keyframe_s)
+        fit = with_labels(fit, given.image, given.camera, last)
+        if track is not None:
+            read_ns = stamp if last is None or before is None else before.read_ns
+            track = replace(track, read=fit, read_ns=read_ns)
         watch.lap("read")
     choice = chosen(fit, target, config, node, frame.detections) if target else None
     view = None

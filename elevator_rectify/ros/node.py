@@ -238,6 +238,9 @@ class ElevatorRectify(Node):
             wanted.append("patches")
         if asked or any(self._listened(topic) for topic in ("buttons", "markers")):
             wanted.append("labels")
+        # Frames that are to agree say each what it reads.
+        if asked:
+            wanted.append("reading")
         if self.node_config.measure and self._hints.placements.wanted:
             wanted.append("placement")
         answer, track = answer_frame(frame, self.config, wanted, self.node_config, track, self._target, self._found)

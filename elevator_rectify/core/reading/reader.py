@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import jacobians_px
+from elevator_rectify.core.reading.carried import as_before, stayed
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
 from elevator_rectify.core.types import Array, Detection, FitResult, FitT, Image
 
@@ -137,9 +138,10 @@ def box_corners_px(detections: Sequence[Detection]) -> list[Array]:
     return [np.array([d.x_px, d.y_px]) + square * np.maximum([d.width_px, d.height_px], 4.0) for d in detections]
 
 
-def read_in_plane(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> list[Read]:
-    """Read the detections of an accepted fit, each in the panel's plane: upright, and seen from the front."""
-    return read_quadrangles(image, plane_corners_px(fit, camera, fit.detections), weights)
+def read_in_plane(image: Image, camera: Camera, fit: FitResult, which: Sequence[int] | None = None) -> list[Read]:
+    """Read the detections of an accepted fit, or some of them, each in the panel's plane: upright, from the front."""
+    corners = plane_corners_px(fit, camera, fit.detections)
+    return read_quadrangles(image, corners if which is None else [corners[k] for k in which])
 
 
 def plane_corners_px(fit: FitResult, camera: Camera, detections: Sequence[Detection]) -> list[Array]:
@@ -170,18 +172,24 @@ def no_buttons(image: Image, camera: Camera, fit: FitResult, weights: Path = WEI
     return {cell for cell, o in zip(cells, other, strict=False) if o > _NO_BUTTON}
 
 
-def read_undetected(image: Image, camera: Camera, fit: FitT, weights: Path = WEIGHTS) -> FitT:
-    """Return the fit with the buttons that the picture shows and nobody detected, as they are read."""
+def read_undetected(image: Image, camera: Camera, fit: FitT, last: FitResult | None = None) -> FitT:
+    """Return the fit with the buttons that the picture shows and nobody detected, as they are read.
+
+    last: a fit to a frame just before, in which the same cells were read.
+    """
     cells = [cell for cell in _undetected_cells(fit) if cell not in fit.undetected]
     if not cells or fit.measurement is None:
         return fit
-    boxes = []
+    boxes = {}
     for cell in cells:
         width, height = np.ptp(_cell_corners_px(fit, camera, cell), axis=0) / MARGIN
         x, y = fit.measurement.centre_px[cell]
-        boxes.append(Detection(float(x), float(y), float(width), float(height)))
-    reads = _read_cells(image, camera, fit, cells, weights)
-    return replace(fit, undetected={**fit.undetected, **dict(zip(cells, labelled(boxes, reads), strict=True))})
+        boxes[cell] = Detection(float(x), float(y), float(width), float(height))
+    before = {} if last is None or not stayed(fit, last) else last.undetected
+    known = {cell: as_before(boxes[cell], read) for cell in cells if (read := before.get(cell)) is not None}
+    unread = [cell for cell in cells if cell not in known]
+    reads = labelled([boxes[cell] for cell in unread], _read_cells(image, camera, fit, unread, WEIGHTS))
+    return replace(fit, undetected={**fit.undetected, **known, **dict(zip(unread, reads, strict=True))})
 
 
 def _undetected_cells(fit: FitResult) -> list[tuple[int, int]]:

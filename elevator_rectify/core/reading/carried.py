@@ -1,0 +1,45 @@
+"""What was read in a frame just before: buttons that are where they were on the panel need not be read again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from elevator_rectify.core.geometry.pose import on_plane
+from elevator_rectify.core.types import Array, Detection, FitResult
+
+# A panel that moved by more than this share of a pitch may be seen from another row or column on.
+_STAYED = 0.5
+# Detections this near to each other on the panel, in pitches, are of one button.
+_SAME_PLACE = 0.25
+
+
+def stayed(fit: FitResult, last: FitResult) -> bool:
+    """Tell whether two accepted fits show the same cells of the same panel, one just after the other."""
+    if not (fit.ok and last.ok) or fit.metric != last.metric or (fit.rows, fit.columns) != (last.rows, last.columns):
+        return False
+    moved = float(np.linalg.norm(fit.t_camera_panel - last.t_camera_panel))
+    return moved < _STAYED * float(fit.pitch.min())
+
+
+def same_buttons(fit: FitResult, last: FitResult) -> dict[int, int]:
+    """Return which detection of the last fit each of the new one's is, where it is surely one of them."""
+    if not stayed(fit, last) or not len(fit.rays) or not len(last.rays):
+        return {}
+    apart = np.linalg.norm(_places(fit)[:, None] - _places(last)[None], axis=-1)
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
+    return {k: int(n) for k, n in enumerate(nearest) if apart[k, n] < _SAME_PLACE and back[n] == k}
+
+
+def _places(fit: FitResult) -> Array:
+    """Return the detections' places (N, 2) on the panel, in pitches."""
+    return np.asarray(on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays)[0] / fit.pitch)
+
+
+def as_before(detection: Detection, before: Detection) -> Detection:
+    """Return the detection as the one before was read."""
+    if not before.label:
+        return replace(detection, readings=before.readings)
+    return replace(detection, label=before.label, score=before.score, readings=before.readings)
