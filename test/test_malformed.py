@@ -100,7 +100,7 @@ def feed(node: ElevatorRectify, messages: Case) -> None:
             continue
         try:
             message = deserialize_message(data, ros_type(KINDS[name]))
-        except Exception:  # noqa: S112 BLE001: rclpy raises what it likes, and `run_node` goes on
+        except Exception:  # rclpy raises what it likes, and `run_node` goes on
             continue
         subscription.callback(message)
 

@@ -277,6 +277,9 @@ class TargetConfig(Checked):
         0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )
     allow_inferred: bool = value(False, "buttons that were neither detected nor read may be pressed")
+    camera_is_upright: bool = value(
+        False, "pictures never stand on their head: 6 is no 9 and up no down, though few labels tell which way is up"
+    )
     max_lateral_std_m: float = value(
         0.01,
         "largest standard deviation of a button's place across the pressing direction, the camera's calibration aside",

@@ -111,8 +111,9 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
         reason = f"{name} by the floors' order alone, where {canonical(button.read)} is read with {button.score:.2f}"
         return Choice(None, "unsure_label", reason)
     over = upside_down(name)
-    if over not in ("", name) and not _upright(fit.buttons):
-        reason = f"{name} is {over} upside down, and too few floors are surely read to tell"
+    if over not in ("", name) and not config.camera_is_upright and not _upright(fit.buttons):
+        way_out = "see target.camera_is_upright"
+        reason = f"{name} is {over} upside down, and too few floors are surely read to tell; {way_out}"
         return Choice(None, "unsure_label", reason)
     return replace(_placed(fit, button, config), probability=probability)
 
