@@ -30,7 +30,7 @@ setup(
     description="Fits the button grid of an elevator panel, estimates its pose and rectifies its view.",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "core/**/*.json", "core/**/*.onnx", "train/*.json"]},
+    package_data={NAME: ["py.typed", "core/**/*.json", "core/**/*.onnx", "core/**/*.onnx.xz", "train/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -1,5 +1,7 @@
 """Write a checkpoint's averaged network as ONNX: `python -m elevator_rectify.train.export detector.pt detector.onnx`.
 
+A file that ends in .xz is compressed: of weights that are rounded to half precision half the bits are zero.
+
 Batch normalisations are folded into the convolutions before them, weights are rounded to half precision.
 OpenCV reads both files from version 4.6 on, which takes no Identity on constants.
 """
@@ -7,6 +9,7 @@ OpenCV reads both files from version 4.6 on, which takes no Identity on constant
 from __future__ import annotations
 
 import argparse
+import lzma
 from pathlib import Path
 
 import onnx
@@ -58,12 +61,25 @@ def export(checkpoint: Path, output: Path, side: tuple[int, int]) -> None:
         else {"input_names": ["patches"], "output_names": ["logits"]}
     )
     torch.onnx.export(
-        net, (torch.zeros(shape),), str(output), opset_version=11, dynamo=False, dynamic_axes=dynamic, **names
+        net, (torch.zeros(shape),), str(output), opset_version=10, dynamo=False, dynamic_axes=dynamic, **names
     )
     model = onnx.load(str(output))
     halve(model)
-    onnx.save(model, str(output))
+    share_constants(model)
+    packed = model.SerializeToString()
+    output.write_bytes(lzma.compress(packed) if output.suffix == ".xz" else packed)
     print(f"{output}: {output.stat().st_size / 1e6:.2f} MB, step {state['step']}")
+
+
+def share_constants(model: onnx.ModelProto) -> None:
+    """Use constants by their own names: the exporter gives equal ones to each other by Identity."""
+    graph, stored = model.graph, {i.name for i in model.graph.initializer}
+    other = {n.output[0]: n.input[0] for n in graph.node if n.op_type == "Identity" and n.input[0] in stored}
+    for node in [n for n in graph.node if n.op_type == "Identity" and n.output[0] in other]:
+        graph.node.remove(node)
+    for node in graph.node:
+        for k, name in enumerate(node.input):
+            node.input[k] = other.get(name, name)
 
 
 def halve(model: onnx.ModelProto) -> None:

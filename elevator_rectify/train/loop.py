@@ -6,7 +6,7 @@ import argparse
 import multiprocessing
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -70,10 +70,24 @@ def _drawn(seed: int, step: int) -> tuple[NDArray[Any], ...]:
     return tuple(part.numpy() for part in _draw(np.random.default_rng([seed, step])))
 
 
+def _by_rate(net: torch.nn.Module, slow: Iterable[torch.nn.Parameter]) -> list[dict[str, Any]]:
+    """Return the network's parameters in groups, each with its share of the rate."""
+    late = list(slow)
+    known = {id(p) for p in late}
+    usual = [p for p in net.parameters() if id(p) not in known]
+    return [{"params": usual, "share": 1.0}, *([{"params": late, "share": 0.5}] if late else [])]
+
+
 def train(
-    net: torch.nn.Module, draw: Draw, loss_of: Callable[[Batch], Tensor], args: argparse.Namespace, decay: float
+    net: torch.nn.Module,
+    draw: Draw,
+    loss_of: Callable[[Batch], Tensor],
+    args: argparse.Namespace,
+    decay: float,
+    slow: Iterable[torch.nn.Parameter] = (),
 ) -> None:
-    """Train from the checkpoint where there is one. draw: draws a batch; loss_of: the network's loss on it."""
+    """Train from the checkpoint where there is one. draw: draws a batch; loss_of: the network's loss on it; slow: the
+    parameters that learn at half the rate."""
     # OpenCV's threads, once begun, would not be there in the process that draws ahead, which would wait for them.
     cv2.setNumThreads(1)
     if args.start is not None and not args.checkpoint.exists():
@@ -83,14 +97,14 @@ def train(
     # Convolutions on a processor are one and a half to two times as fast with the channels last.
     net.to(memory_format=torch.channels_last)
     average = Average(net)
-    optimiser = torch.optim.AdamW(net.parameters(), lr=args.rate, weight_decay=decay)
+    optimiser = torch.optim.AdamW(_by_rate(net, slow), lr=args.rate, weight_decay=decay)
     checkpoint = Checkpoint(args.checkpoint, net, average, optimiser)
     step, begun, mean = checkpoint.load(), time.time(), 0.0
     print(f"{sum(p.numel() for p in net.parameters())} weights, from step {step} of {args.steps}", flush=True)
     net.train()
     for batch in batches(draw, args.seed, step, args.steps):
         for group in optimiser.param_groups:
-            group["lr"] = learning_rate(step, args.steps, args.rate)
+            group["lr"] = group.get("share", 1.0) * learning_rate(step, args.steps, args.rate)
         loss = loss_of((batch[0].contiguous(memory_format=torch.channels_last), *batch[1:]))
         optimiser.zero_grad(set_to_none=True)
         loss.backward()

@@ -20,8 +20,11 @@ from elevator_rectify.core.reading.vocabulary import BLANK, KINDS, SLOTS, encode
 from elevator_rectify.train.labelled import is_other_thing, read_labelled
 from elevator_rectify.train.loop import add_training, train
 from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, random_text, spoilt_patch
+from elevator_rectify.train.pretrained import begin_with_recogniser
 from elevator_rectify.train.reader_net import ReaderNet
 
+# Batches, of so many patches, that show a recogniser of texts what buttons look like.
+_BATCHES_SHOWN, _SHOWN = 8, 64
 Sample = tuple[Any, NDArray[np.float64], str, tuple[int, ...], str]
 
 
@@ -91,19 +94,23 @@ def loss_of(logits: Tensor, kinds: Tensor, slots: Tensor) -> Tensor:
 def main() -> None:
     """Read the command line and train."""
     parser = argparse.ArgumentParser(description=__doc__)
-    add_training(parser, "reader", steps=7000, batch=96, rate=2e-3)
-    parser.add_argument("--drawn", type=float, default=0.3, help="share of drawn patches")
+    add_training(parser, "reader", steps=3000, batch=64, rate=1.5e-3)
+    parser.add_argument("--drawn", type=float, default=0.15, help="share of drawn patches")
+    parser.add_argument("--pretrained", type=Path, metavar="ONNX", help="recogniser of texts to begin with")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
     net, samples = ReaderNet(), samples_of(args.data, None if args.all else False)
     source = Source(samples, weights_of(samples), args.drawn, font_files())
+    if args.pretrained is not None:
+        batches = (source.batch(_SHOWN, np.random.default_rng([args.seed, k]))[0] for k in range(_BATCHES_SHOWN))
+        begin_with_recogniser(net.features, args.pretrained, (view for x in batches for view in net.views(x)))
 
     def loss(batch: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         patches, kinds, slots = batch
         return loss_of(net(patches), kinds, slots)
 
-    train(net, partial(source.batch, args.batch), loss, args, decay=1e-2)
+    train(net, partial(source.batch, args.batch), loss, args, decay=2e-2, slow=net.features.parameters())
 
 
 if __name__ == "__main__":

@@ -20,8 +20,8 @@ from elevator_rectify.core.types import Detection
 PLATE = "plate"
 # So many pairs, and so large a share of all that is read, make a panel with plates; so near in lines are neighbours.
 _FEWEST_PAIRS, _LEAST_SHARE, _SAME_ROW, _NEXT = 3, 0.3, 0.35, 1.35
-# Two are read alike where they say the same with this probability.
-_ALIKE = 0.2
+# Two are read alike where they say the same with this probability; of the plates that are read, so many are.
+_ALIKE, _MOST_ALIKE = 0.2, 0.6
 # A label that may go on with a letter ('2' as '2R', of the rear door) is another one's.
 _LONGER = 0.1
 # A print is surely read with this probability, and a button shows none where no label has so much; of so large a share
@@ -38,7 +38,8 @@ Readings = tuple[tuple[str, float], ...]
 def without_plates(places: PanelPlaces) -> PanelPlaces:
     """Return the places with the plates named as such, and what both say as the reading of the button."""
     neighbours = _neighbours(places)
-    pairs = [(left, right) for left, right in neighbours if _read_alike(places, left, right)]
+    alike = [(left, right) for left, right in neighbours if _read_alike(places, left, right)]
+    pairs = _of_alike_columns(places, neighbours, alike)
     read = sum(label != "" for label in places.label)
     if len(pairs) < _FEWEST_PAIRS or 2 * len(pairs) < _LEAST_SHARE * read:
         return places
@@ -47,7 +48,7 @@ def without_plates(places: PanelPlaces) -> PanelPlaces:
     label, score = list(places.label), places.score.copy()
     readings = list(places.readings) or [()] * len(label)
     for left, right in neighbours:
-        if (_column(places, left), _column(places, right)) not in columns:
+        if _columns_of(places, (left, right)) not in columns:
             continue
         if not label[right]:
             label[right], score[right] = label[left], score[left]
@@ -57,6 +58,24 @@ def without_plates(places: PanelPlaces) -> PanelPlaces:
             readings[right] = _both(readings[left], readings[right])
         label[left], readings[left] = PLATE, ((PLATE, 1.0),)
     return replace(places, label=tuple(label), score=score, readings=tuple(readings))
+
+
+def _of_alike_columns(
+    places: PanelPlaces, neighbours: list[tuple[int, int]], alike: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Return the pairs that are read alike in columns where most are: two floors may be misread as one."""
+    read = [pair for pair in neighbours if min(_likeliest(places, k) for k in pair) >= _BLANK]
+    total, same = (Counter(_columns_of(places, pair) for pair in some) for some in (read, alike))
+    return [pair for pair in alike if same[_columns_of(places, pair)] >= _MOST_ALIKE * total[_columns_of(places, pair)]]
+
+
+def _columns_of(places: PanelPlaces, pair: tuple[int, int]) -> tuple[int, int]:
+    return _column(places, pair[0]), _column(places, pair[1])
+
+
+def _likeliest(places: PanelPlaces, k: int) -> float:
+    """Return the probability of what is most likely printed at place k."""
+    return max((p for _, p in _read(places, k)), default=0.0)
 
 
 def blank_beside(places: PanelPlaces, detections: Sequence[Detection]) -> dict[int, int]:
@@ -70,8 +89,8 @@ def blank_beside(places: PanelPlaces, detections: Sequence[Detection]) -> dict[i
     columns: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for left, right in _neighbours(places) if places.readings else ():
         if places.label[left] != PLATE and _near(*(detections[places.detection[k]] for k in (left, right))):
-            columns.setdefault((_column(places, left), _column(places, right)), []).append((left, right))
-    printed = [max((p for _, p in places.read_at(k)), default=0.0) for k in range(len(places.label))]
+            columns.setdefault(_columns_of(places, (left, right)), []).append((left, right))
+    printed = [_likeliest(places, k) for k in range(len(places.label))]
     telling = {at: sum(_tells(printed, pair) for pair in pairs) for at, pairs in columns.items()}
     against = sum(min(printed[left], printed[right]) >= _PRINTED for pairs in columns.values() for left, right in pairs)
     plates = [at for at, pairs in columns.items() if telling[at] >= _MOSTLY * len(pairs)]
@@ -106,7 +125,7 @@ def _near(one: Detection, other: Detection) -> bool:
 
 def _columns(places: PanelPlaces, pairs: list[tuple[int, int]]) -> set[tuple[int, int]]:
     """Return the columns (left, right) of the pairs: those with most of them, each column once."""
-    counts = Counter((_column(places, left), _column(places, right)) for left, right in pairs)
+    counts = Counter(_columns_of(places, pair) for pair in pairs)
     used: set[int] = set()
     found = set()
     for columns, _ in sorted(counts.items(), key=lambda item: (-item[1], item[0])):

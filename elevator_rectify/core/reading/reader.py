@@ -7,6 +7,7 @@ most of it on 'unreadable'.
 from __future__ import annotations
 
 import json
+import lzma
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -23,7 +24,7 @@ from elevator_rectify.core.reading.carried import as_before, stayed
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
 from elevator_rectify.core.types import Array, Detection, FitResult, FitT, Image
 
-WEIGHTS = Path(__file__).with_name("reader.onnx")
+WEIGHTS = Path(__file__).with_name("reader.onnx.xz")
 # Side of a patch, and what it shows over the box; the network looks at the whole and, closer, at the middle.
 PATCH_PX, MARGIN = 96, 1.25
 # Smaller buttons than this, in pixels, are read less surely in other ways than larger ones.
@@ -60,7 +61,7 @@ class Read:
 
 @cache
 def _network(path: Path) -> Any:
-    return cv2.dnn.readNetFromONNX(str(path))
+    return cv2.dnn.readNetFromONNX(np.frombuffer(lzma.decompress(path.read_bytes()), dtype=np.uint8))
 
 
 def read_patches(patches: Sequence[Image], weights: Path = WEIGHTS) -> list[Read]:
