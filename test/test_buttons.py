@@ -159,7 +159,7 @@ def test_a_misread_button_is_named_by_its_plate_too() -> None:
     assert choice.button is not None and (choice.button.row, choice.button.column) == (5, 1)
 
 
-def printed_left(blank: Sequence[int], score: float = 0.97, config: Config = METRIC) -> GridFit:
+def printed_left(blank: Sequence[int], score: float = 0.97, config: Config = METRIC, readings: bool = True) -> GridFit:
     """The fit to a panel of two columns of plates, each with its buttons to the right, of which those in the given rows
     show no print."""
     view, given = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3), []
@@ -168,7 +168,7 @@ def printed_left(blank: Sequence[int], score: float = 0.97, config: Config = MET
         floor = str(12 - 2 * row + column // 2 if column % 2 == 0 else 40 - 2 * row + column // 2)
         soft = (("8", 0.2), ("open", 0.1)) if column % 2 and row in blank else ((floor, score),)
         label = soft[0][0] if soft[0][1] > 0.5 else ""
-        given.append(replace(detection, label=label, score=soft[0][1], readings=soft))
+        given.append(replace(detection, label=label, score=soft[0][1], readings=soft if readings else ()))
     return fit_panel(given, view.camera, config)
 
 
@@ -183,9 +183,23 @@ def test_what_may_be_the_plate_of_a_blank_button_is_pressed_only_where_plates_ar
 
 
 def test_buttons_beside_some_that_cannot_be_read_are_no_plates() -> None:
-    for fit in (printed_left([0, 3]), printed_left(range(6), score=0.85)):
+    """Nor are those of a detector that leaves labels out."""
+    for fit in (printed_left([0, 3]), printed_left(range(6), score=0.85), printed_left(range(6), readings=False)):
         choice = find_button(fit, "7")
         assert choice.button is not None and (choice.button.row, choice.button.column) == (3, 2)
+
+
+def test_floors_that_are_misread_as_their_neighbours_are_no_plates() -> None:
+    """Three rows of six read alike, the others surely not."""
+    view, given = scene(1, rows=6, columns=4, tilt_deg=20.0, sigma_px=0.3), []
+    for detection, button in zip(view.detections, view.button, strict=True):
+        row, column = divmod(int(button), 4)
+        floor = 24 - 4 * row + column
+        misread = row < 3 and column < 2
+        soft = ((str(24 - 4 * row), 0.6), (str(floor + 9), 0.2)) if misread else ((str(floor), 0.97),)
+        given.append(replace(detection, label=soft[0][0], score=soft[0][1], readings=soft))
+    fit = fit_panel(given, view.camera, METRIC)
+    assert fit.ok and "plate" not in {b.label for b in fit.buttons}
 
 
 def test_two_pairs_are_no_plates() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import onnx
 import torch
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def _weights(graph: Any) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     def constant(name: str) -> NDArray[Any]:
         while name not in stored:
             name = maker[name].input[0]
-        return numpy_helper.to_array(stored[name])
+        return np.asarray(numpy_helper.to_array(stored[name]))
 
     found = []
     for node in graph.node:

@@ -87,10 +87,10 @@ def blank_beside(places: PanelPlaces, detections: Sequence[Detection]) -> dict[i
     are there.
     """
     columns: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for left, right in _neighbours(places) if places.readings else ():
+    for left, right in _neighbours(places):
         if places.label[left] != PLATE and _near(*(detections[places.detection[k]] for k in (left, right))):
             columns.setdefault(_columns_of(places, (left, right)), []).append((left, right))
-    printed = [_likeliest(places, k) for k in range(len(places.label))]
+    printed = [max((p for _, p in places.read_at(k)), default=0.0) for k in range(len(places.label))]
     telling = {at: sum(_tells(printed, pair) for pair in pairs) for at, pairs in columns.items()}
     against = sum(min(printed[left], printed[right]) >= _PRINTED for pairs in columns.values() for left, right in pairs)
     plates = [at for at, pairs in columns.items() if telling[at] >= _MOSTLY * len(pairs)]
