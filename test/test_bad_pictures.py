@@ -94,20 +94,21 @@ def test_what_reads_the_same_upside_down_or_not_at_all(label: str, other: str) -
 
 @pytest.mark.parametrize("turn", ["upside down", "mirrored"])
 def test_a_turned_picture_has_no_wrong_floor_pressed(turn: str) -> None:
-    wrong, asked = [], 0
+    wrong, turned = [], 0
     for number in range(6):
         view = pictured("easy", 60, number, held_out=True)
         image = view.image[:, ::-1] if turn == "mirrored" else view.image[::-1, ::-1]
         fit = find_panel(np.ascontiguousarray(image), view.scene.camera, CONFIG)
+        turned += "turned by 180 degrees" in fit.reason
         for label in ASKED if fit.ok else []:
             found = find_button(fit, label, CONFIG.target).button
-            asked += 1
             if found is None:
                 continue
             at = np.array([639.0, 479.0 if turn == "upside down" else 2.0 * found.image_px[1]]) - found.image_px
             nearest = int(np.linalg.norm(view.scene.pixels - at, axis=1).argmin())
             wrong += [label] if view.scene.panel.buttons[nearest].label != label else []
-    assert asked > 60 and not wrong
+    # The reader sees it: a 7 on its head may be read as 4.
+    assert turned >= 4 and not wrong
 
 
 def test_a_button_that_the_border_cuts_off_is_not_pressed_where_its_rest_is() -> None:

@@ -83,12 +83,12 @@ def with_pitches(config: Config) -> Config:
 def _upright(
     fit: FitResult, camera: Camera, previous: FitResult | None, image: Image, detections: tuple[Detection, ...]
 ) -> FitResult:
-    """Return the fit, as ambiguous where the panel's labels lie on their side: then its rows are columns.
+    """Return the fit, as ambiguous where the panel's labels lie on their side, or stand on their head.
 
-    Few panels are wider than high; the others are not asked, nor those that were seen upright in the frame before.
+    Those that were seen upright in the frame before are not asked.
     """
     seen = previous is not None and previous.ok and _same_grid(fit, previous)
-    if not fit.ok or fit.rows > fit.columns or seen or not detections:
+    if not fit.ok or seen or not detections:
         return fit
     turns = quarter_turns(image, camera, fit, detections)
     if not turns:

@@ -11,27 +11,33 @@ from elevator_rectify.core.reading.reader import plane_corners_px, read_quadrang
 from elevator_rectify.core.reading.vocabulary import SYMBOLS
 from elevator_rectify.core.types import Array, Detection, FitResult, Image
 
-# So many buttons at least, read upright with this mean probability, settle it; else so many are read in all four turns.
-_FEW, _READABLE, _SAMPLE = 6, 0.5, 14
+# So many buttons at least, read upright with the first mean probability, do not lie on their side, and with the second
+# one do not stand on their head either; else so many are read in the turns that are left.
+_FEW, _READABLE, _SURELY, _SAMPLE = 6, 0.5, 0.95, 14
 # Turned labels are read better than upright ones: by one label more, and so many of them. Of 114 held-out panels that
 # stand upright none is, of those that lie on their side seven in eight.
 _MORE, _LEAST_SHARE = 1.0, 0.15
-_TURNS = (0, 1, 2, 3)
+_TURNS, _HALF_TURNS = (0, 1, 2, 3), (0, 2)
 
 
 def quarter_turns(image: Image, camera: Camera, fit: FitResult, detections: Sequence[Detection]) -> int:
     """Return by how many quarter turns the labels are turned clockwise against the panel's frame, 0 where upright.
 
     fit: an accepted one to these detections. Only the reader's certainty counts, not what it reads; few buttons say
-    nothing.
+    nothing. Few panels are wider than high: the others do not lie on their side, but may stand on their head, where a 7
+    is read as 4.
     """
     corners = [c for c in plane_corners_px(fit, camera, detections) if np.isfinite(c).all()]
     few = _spread(corners, _FEW)
-    if len(corners) < _FEW or _readable(image, few, 0) > _READABLE * len(few):
+    if len(corners) < _FEW:
+        return 0
+    readable = _readable(image, few, 0) / len(few)
+    if readable > _SURELY:
         return 0
     sample = _spread(corners, _SAMPLE)
-    sums = [_readable(image, sample, turn) for turn in _TURNS]
-    best = int(np.argmax(sums))
+    turns = _HALF_TURNS if fit.rows > fit.columns or readable > _READABLE else _TURNS
+    sums = {turn: _readable(image, sample, turn) for turn in turns}
+    best = max(sums, key=lambda turn: sums[turn])
     return best if sums[best] > max(sums[0] + _MORE, _LEAST_SHARE * len(sample)) else 0
 
 
