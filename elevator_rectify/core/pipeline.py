@@ -63,7 +63,7 @@ def fit_panel(
     config = with_pitches(config)
     fit = _fit(detections, camera, config, previous, image)
     if image is not None and config.measurement.witness:
-        fit = _upright(fit, camera, previous, image, given)
+        fit = _upright(fit, camera, previous, image, given, not config.target.camera_is_upright)
         fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))
     fit = with_intrinsics_error(fit, config.joint)
     return GridFit.of(fit, detections=given, plates_on_left=config.labels.plates_on_left)
@@ -81,16 +81,21 @@ def with_pitches(config: Config) -> Config:
 
 
 def _upright(
-    fit: FitResult, camera: Camera, previous: FitResult | None, image: Image, detections: tuple[Detection, ...]
+    fit: FitResult,
+    camera: Camera,
+    previous: FitResult | None,
+    image: Image,
+    detections: tuple[Detection, ...],
+    on_head: bool,
 ) -> FitResult:
-    """Return the fit, as ambiguous where the panel's labels lie on their side, or stand on their head.
+    """Return the fit, as ambiguous where the panel's labels lie on their side, or stand on their head (on_head).
 
     Those that were seen upright in the frame before are not asked.
     """
     seen = previous is not None and previous.ok and _same_grid(fit, previous)
     if not fit.ok or seen or not detections:
         return fit
-    turns = quarter_turns(image, camera, fit, detections)
+    turns = quarter_turns(image, camera, fit, detections, on_head)
     if not turns:
         return fit
     along = fit.R_camera_panel[:2, 0]
