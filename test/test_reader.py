@@ -182,7 +182,7 @@ def test_buttons_that_stayed_where_they_were_are_not_read_again(monkeypatch: pyt
     # One more button is read alone; a panel that is seen from another row on is read as a whole.
     more = fit_panel([*kept, unread[2]], camera, image=given.image)
     counts.clear()
-    third = with_labels(more, given.image, camera, replace(first, undetected=first.undetected))
+    third = with_labels(more, given.image, camera, first)
     assert third.detections[:-1] == first.detections and third.detections[-1].label and sum(counts) == 1
     moved = replace(first, t_camera_panel=first.t_camera_panel + first.pitch[1] * first.R_camera_panel[:, 1])
     counts.clear()
@@ -211,7 +211,7 @@ def test_no_button_is_said_only_where_the_panels_buttons_read_as_such(monkeypatc
     printed, blank = Read((("1", 0.99),), 0.0), Read((), 0.99)
     for usual, found in ((printed, empty), (blank, 0)):
         said = [blank] * empty + [usual] * len(kept)
-        monkeypatch.setattr(reader, "read_quadrangles", lambda image, corners, weights, r=said: r[: len(corners)])
+        monkeypatch.setattr(reader, "read_quadrangles", lambda image, corners, r=said: r[: len(corners)])
         assert len(no_buttons(given.image, camera, fit)) == found
 
 

@@ -19,6 +19,7 @@ from elevator_rectify.core.left_out import undoubted
 from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
 from elevator_rectify.core.picture.witness import contradicted, second_opinion
+from elevator_rectify.core.reading.carried import stayed
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import no_buttons
 from elevator_rectify.core.reading.upright import quarter_turns
@@ -26,8 +27,6 @@ from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, FitResult, Image, KnownPanel
 
 DEFAULT_CONFIG = Config()
-# The grid of the frame before is the same one where its origin has moved by less than so many pitches since.
-_STAYED = 0.5
 # The ratio of the pitches is not known better, as a share; poses have none that is larger.
 _LEAST_RATIO_STD, _MOST_LOG_ASPECT = 1e-3, 1.5
 
@@ -118,13 +117,10 @@ def _no_buttons(
 
 def _same_grid(fit: FitResult, previous: FitResult) -> bool:
     """Tell whether the cells are the previous frame's, and nothing was seen in them that was not seen then."""
-    if not fit.ok or (fit.rows, fit.columns) != (previous.rows, previous.columns):
-        return False
-    if fit.measurement is None or previous.measurement is None:
+    if not stayed(fit, previous) or fit.measurement is None or previous.measurement is None:
         return False
     new = np.isfinite(fit.measurement.correlation) & ~np.isfinite(previous.measurement.correlation)
-    moved = float(np.linalg.norm(fit.t_camera_panel - previous.t_camera_panel))
-    return not new.any() and moved < _STAYED * float(fit.pitch.min())
+    return not new.any()
 
 
 def _fit(

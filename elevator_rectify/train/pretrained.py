@@ -17,6 +17,7 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from elevator_rectify.train.reader_net import Squeeze, TextFeatures
+from elevator_rectify.train.start import moments
 
 # The recogniser's colours have this share of the spread of ours.
 _CONTRAST = 0.5
@@ -27,7 +28,7 @@ def begin_with_recogniser(features: TextFeatures, model: Path, views: Iterable[T
 
     So rectifiers and strides may be other than the recogniser's.
     """
-    published = TextFeatures(as_published=True).eval()
+    published = TextFeatures(as_published=True)
     weights = _weights(onnx.load(str(model)).graph)
     for net in (published, features):
         convolutions = [m for m in net.modules() if isinstance(m, nn.Conv2d)]
@@ -38,13 +39,11 @@ def begin_with_recogniser(features: TextFeatures, model: Path, views: Iterable[T
         convolutions[0].weight.data.mul_(_CONTRAST)
         for squeeze in (m for m in net.modules() if isinstance(m, Squeeze)):
             squeeze.hard_sigmoid()
-    for norm, (mean, variance) in zip(_norms(features), _moments(published, views), strict=True):
+    for norm, (mean, variance) in zip(_norms(features), moments(published, _norms(published), views), strict=True):
         norm.weight.data.copy_(variance.sqrt())
-        for store in (norm.bias.data, norm.running_mean):
-            if store is not None:
-                store.copy_(mean)
-        if norm.running_var is not None:
-            norm.running_var.copy_(variance)
+        norm.bias.data.copy_(mean)
+        norm.running_mean.copy_(mean)
+        norm.running_var.copy_(variance)
 
 
 def _norms(net: nn.Module) -> list[nn.BatchNorm2d]:
@@ -72,21 +71,3 @@ def _weights(graph: Any) -> list[tuple[NDArray[Any], NDArray[Any]]]:
             bias = next((i for i in add.input if i != node.output[0]), node.input[1])
         found.append((constant(node.input[1]), constant(bias)))
     return found
-
-
-def _moments(net: nn.Module, views: Iterable[Tensor]) -> list[tuple[Tensor, Tensor]]:
-    """Return mean and variance of what comes to each normalisation of a network in evaluation mode."""
-    sums: dict[nn.Module, list[Tensor]] = {}
-
-    def note(norm: nn.Module, given: tuple[Tensor, ...]) -> None:
-        x = given[0]
-        sums.setdefault(norm, []).append(torch.stack([x.mean((0, 2, 3)), (x * x).mean((0, 2, 3))]))
-
-    hooks = [norm.register_forward_pre_hook(note) for norm in _norms(net)]
-    with torch.no_grad():
-        for view in views:
-            net(view)
-    for hook in hooks:
-        hook.remove()
-    means = [torch.stack(sums[norm]).mean(0) for norm in _norms(net)]
-    return [(m[0], (m[1] - m[0] ** 2).clamp(min=1e-8)) for m in means]

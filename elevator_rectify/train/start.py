@@ -14,6 +14,9 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
+# Channels that never change do not divide by nothing.
+_LEAST_VARIANCE = 1e-8
+
 
 def begin_with(net: nn.Module, model: Path, inputs: Iterable[Tensor]) -> list[str]:
     """Give the network the weights of an exported one; return the names of those that it has not, or of another shape.
@@ -46,15 +49,12 @@ def _layers(net: nn.Module) -> Iterator[tuple[str, nn.Conv2d | nn.Linear, nn.Bat
             yield name, module, behind if isinstance(behind, nn.BatchNorm2d) else None
 
 
-def _normalise(net: nn.Module, norms: list[nn.BatchNorm2d], inputs: Iterable[Tensor]) -> None:
-    """Let each normalisation, which does nothing yet, know its input's mean and variance and put them on again."""
-    sums = {norm: [torch.zeros(norm.num_features), torch.zeros(norm.num_features), 0] for norm in norms}
+def moments(net: nn.Module, norms: list[nn.BatchNorm2d], inputs: Iterable[Tensor]) -> list[tuple[Tensor, Tensor]]:
+    """Return mean and variance (C,) of what comes to each normalisation of the network in evaluation mode."""
+    seen: dict[nn.Module, list[Tensor]] = {norm: [] for norm in norms}
 
     def note(norm: nn.Module, given: tuple[Tensor, ...]) -> None:
-        total = sums[norm]  # type: ignore[index]
-        total[0] += given[0].mean(dim=(0, 2, 3))
-        total[1] += (given[0] ** 2).mean(dim=(0, 2, 3))
-        total[2] += 1
+        seen[norm].append(torch.stack([given[0].mean(dim=(0, 2, 3)), (given[0] ** 2).mean(dim=(0, 2, 3))]))
 
     hooks = [norm.register_forward_pre_hook(note) for norm in norms]
     net.eval()
@@ -63,9 +63,13 @@ def _normalise(net: nn.Module, norms: list[nn.BatchNorm2d], inputs: Iterable[Ten
             net(batch)
     for hook in hooks:
         hook.remove()
-    for norm, (total, squares, number) in sums.items():
-        mean = total / number
-        variance = squares / number - mean**2
+    means = [torch.stack(seen[norm]).mean(dim=0) for norm in norms]
+    return [(mean, (squares - mean**2).clamp(min=_LEAST_VARIANCE)) for mean, squares in means]
+
+
+def _normalise(net: nn.Module, norms: list[nn.BatchNorm2d], inputs: Iterable[Tensor]) -> None:
+    """Let each normalisation, which does nothing yet, know its input's mean and variance and put them on again."""
+    for norm, (mean, variance) in zip(norms, moments(net, norms, inputs), strict=True):
         norm.running_mean.copy_(mean)
         norm.running_var.copy_(variance)
         norm.weight.data.copy_((variance + norm.eps).sqrt())

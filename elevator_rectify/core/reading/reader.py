@@ -157,7 +157,7 @@ def plane_corners_px(fit: FitResult, camera: Camera, detections: Sequence[Detect
     return corners
 
 
-def no_buttons(image: Image, camera: Camera, fit: FitResult, weights: Path = WEIGHTS) -> set[tuple[int, int]]:
+def no_buttons(image: Image, camera: Camera, fit: FitResult) -> set[tuple[int, int]]:
     """Return the cells in which the picture shows something like the buttons, nothing was detected, and the reader
     sees no button: a display, a keyhole, bare metal."""
     cells = _undetected_cells(fit)
@@ -166,7 +166,7 @@ def no_buttons(image: Image, camera: Camera, fit: FitResult, weights: Path = WEI
     sample = detected[:: max(1, -(-len(detected) // _SAMPLE))]
     if not cells or not sample:
         return set()
-    other = [read.other for read in _read_cells(image, camera, fit, [*cells, *sample], weights)]
+    other = [read.other for read in _read_cells(image, camera, fit, [*cells, *sample])]
     # Buttons without print are read as no buttons, too: then nothing can be said.
     if not float(np.median(other[len(cells) :])) < _USUAL_OTHER:
         return set()
@@ -189,7 +189,7 @@ def read_undetected(image: Image, camera: Camera, fit: FitT, last: FitResult | N
     before = {} if last is None or not stayed(fit, last) else last.undetected
     known = {cell: as_before(boxes[cell], read) for cell in cells if (read := before.get(cell)) is not None}
     unread = [cell for cell in cells if cell not in known]
-    reads = labelled([boxes[cell] for cell in unread], _read_cells(image, camera, fit, unread, WEIGHTS))
+    reads = labelled([boxes[cell] for cell in unread], _read_cells(image, camera, fit, unread))
     return replace(fit, undetected={**fit.undetected, **known, **dict(zip(unread, reads, strict=True))})
 
 
@@ -202,10 +202,8 @@ def _undetected_cells(fit: FitResult) -> list[tuple[int, int]]:
     return [(int(row), int(column)) for row, column in np.argwhere(empty)]
 
 
-def _read_cells(
-    image: Image, camera: Camera, fit: FitResult, cells: Sequence[tuple[int, int]], weights: Path
-) -> list[Read]:
-    return read_quadrangles(image, [_cell_corners_px(fit, camera, cell) for cell in cells], weights)
+def _read_cells(image: Image, camera: Camera, fit: FitResult, cells: Sequence[tuple[int, int]]) -> list[Read]:
+    return read_quadrangles(image, [_cell_corners_px(fit, camera, cell) for cell in cells])
 
 
 def _cell_corners_px(fit: FitResult, camera: Camera, cell: tuple[int, int]) -> Array:
