@@ -33,6 +33,8 @@ def begin_with(net: nn.Module, model: Path, inputs: Iterable[Tensor]) -> list[st
             continue
         layer.weight.data.copy_(weight)
         (layer if norm is None else norm).bias.data.copy_(bias)
+        if norm is not None and layer.bias is not None:
+            layer.bias.data.zero_()
         if norm is not None:
             norm.weight.data.fill_((1.0 + norm.eps) ** 0.5)
             pairs.append(norm)
