@@ -81,6 +81,8 @@ def test_a_hanging_camera_has_no_nine_pressed_for_a_six(label: str) -> None:
     assert refused.status == "unsure_label" and f"{upside_down(label)} upside down" in refused.reason
     said = find_button(fit_panel(read, view.camera, CONFIG), label, replace(lenient, camera_is_upright=True))
     assert said.button is not None and said.button.read == label
+    seen_upright = replace(fit_panel(read, view.camera, CONFIG), labels_upright=True)
+    assert find_button(seen_upright, label, lenient).reason.count("upside down") == 0
     upright = [replace(d, label=("40", "43")[k]) if k < 2 else d for k, d in enumerate(read)]
     assert find_button(fit_panel(upright, view.camera, CONFIG), label, lenient).reason.count("upside down") == 0
 

@@ -10,7 +10,7 @@ import pytest
 
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Camera, Config, Detection, JointConfig, fit_panel
-from elevator_rectify.core.reading.upright import quarter_turns
+from elevator_rectify.core.reading.upright import WayUp, way_up
 from elevator_rectify.core.types import Array, Image
 
 # Quarter turns of the picture, clockwise: how it is turned, and the matrix on centred pixels.
@@ -68,13 +68,27 @@ def test_upright_panels_wider_than_high_are_left_alone(panels: list[Pictured]) -
     for given in panels:
         upright = fit_panel(list(given.scene.detections), given.scene.camera, image=given.image)
         assert upright.ok
-        assert quarter_turns(given.image, given.scene.camera, upright, given.scene.detections) == 0
+        assert way_up(given.image, given.scene.camera, upright, given.scene.detections).quarter_turns == 0
+
+
+@pytest.mark.parametrize("number", [0, 1, 5])
+def test_only_labels_that_stand_upright_are_told_to(number: int) -> None:
+    given = pictured("easy", 60, number, held_out=True)
+    camera, detections = given.scene.camera, list(given.scene.detections)
+    # Of panels with many floors, not all of them sharp enough to be read for sure.
+    blurred = cv2.GaussianBlur(given.image, (0, 0), 1.0)
+    upright = fit_panel(detections, camera, image=blurred)
+    assert upright.labels_upright
+    assert fit_panel(detections, camera, image=blurred, previous=upright).labels_upright
+    turned = [replace(d, x_px=camera.width - 1 - d.x_px, y_px=camera.height - 1 - d.y_px) for d in detections]
+    on_head = fit_panel(turned, camera, image=np.ascontiguousarray(blurred[::-1, ::-1]))
+    assert not on_head.labels_upright
 
 
 def test_what_cannot_be_read_is_not_turned() -> None:
     given = pictured("easy", 60, 0, held_out=True)
     fit = fit_panel(list(given.scene.detections), given.scene.camera)
     grey = np.full_like(given.image, 120)
-    assert quarter_turns(grey, given.scene.camera, fit, given.scene.detections) == 0
+    assert way_up(grey, given.scene.camera, fit, given.scene.detections) == WayUp()
     centres = [replace(d, width_px=0.0, height_px=0.0) for d in given.scene.detections]
-    assert quarter_turns(given.image, given.scene.camera, fit, centres) == 0
+    assert way_up(given.image, given.scene.camera, fit, centres) == WayUp()

@@ -22,7 +22,7 @@ from elevator_rectify.core.picture.witness import contradicted, second_opinion
 from elevator_rectify.core.reading.carried import stayed
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import no_buttons
-from elevator_rectify.core.reading.upright import quarter_turns
+from elevator_rectify.core.reading.upright import way_up
 from elevator_rectify.core.result import failed_fit, paper_fit
 from elevator_rectify.core.types import Array, Detection, FitResult, Image, KnownPanel
 
@@ -91,17 +91,18 @@ def _upright(
 
     Those that were seen upright in the frame before are not asked.
     """
-    seen = previous is not None and previous.ok and _same_grid(fit, previous)
-    if not fit.ok or seen or not detections:
+    if not fit.ok or not detections:
         return fit
-    turns = quarter_turns(image, camera, fit, detections, on_head)
-    if not turns:
-        return fit
+    if previous is not None and previous.ok and _same_grid(fit, previous):
+        return replace(fit, labels_upright=previous.labels_upright)
+    labels = way_up(image, camera, fit, detections, on_head)
+    if not labels.quarter_turns:
+        return replace(fit, labels_upright=labels.upright)
     along = fit.R_camera_panel[:2, 0]
-    roll = np.arctan2(along[1], along[0]) + turns * np.pi / 2
+    roll = np.arctan2(along[1], along[0]) + labels.quarter_turns * np.pi / 2
     roll = float(np.arctan2(np.sin(roll), np.cos(roll)))
     way_out = f"set joint.camera_roll_rad to {roll:.2f}, or turn the camera"
-    reason = f"the labels are turned by {90 * turns} degrees: {way_out}"
+    reason = f"the labels are turned by {90 * labels.quarter_turns} degrees: {way_out}"
     return replace(fit, status="ambiguous", reason=reason)
 
 

@@ -129,8 +129,9 @@ class FitResult:
     margin_nats: the log likelihood between the best and the next one. detections: as given, where they were given as
     a list; `cells` has the same order, and so have rays (N, 2), the detections in undistorted normalised coordinates,
     NaN where not usable. measurement: of the buttons in the picture, where one was given and showed them. undetected:
-    by cell, the buttons that it shows and nobody detected, as they were read; None for what is no button. known: the
-    taught panel that this is; matched: (N,) which of its buttons each detection is, -1 for none; shown: (K,) which of
+    by cell, the buttons that it shows and nobody detected, as they were read; None for what is no button.
+    labels_upright: whether its labels are clearly read better upright than on their head. known: the taught panel that
+    this is; matched: (N,) which of its buttons each detection is, -1 for none; shown: (K,) which of
     its buttons a detection or the picture shows; known_px: (K, 2) where they are in the (distorted) image.
 
     covariance: (6, 6) of t and rotation (about the camera's axes), with the errors of the scale and of the camera's
@@ -175,6 +176,7 @@ class FitResult:
     rays: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measurement: Measurement | None = None
     undetected: dict[tuple[int, int], Detection | None] = field(default_factory=dict)
+    labels_upright: bool = False
     known: KnownPanel | None = None
     matched: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     shown: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))

@@ -111,9 +111,10 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
         reason = f"{name} by the floors' order alone, where {canonical(button.read)} is read with {button.score:.2f}"
         return Choice(None, "unsure_label", reason)
     over = upside_down(name)
-    if over not in ("", name) and not config.camera_is_upright and not _upright(fit.buttons):
+    surely_upright = config.camera_is_upright or fit.labels_upright
+    if over not in ("", name) and not surely_upright and not _upright(fit.buttons):
         way_out = "see target.camera_is_upright"
-        reason = f"{name} is {over} upside down, and too few floors are surely read to tell; {way_out}"
+        reason = f"{name} is {over} upside down, and the labels do not tell which way is up; {way_out}"
         return Choice(None, "unsure_label", reason)
     return replace(_placed(fit, button, config), probability=probability)
 

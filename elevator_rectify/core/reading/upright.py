@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,20 +21,29 @@ _FEW, _READABLE, _SURELY, _SAMPLE = 8, 0.5, 0.95, 14
 _MORE, _LEAST_SHARE, _FEWEST = 1.0, 0.15, 6
 
 
-def quarter_turns(
-    image: Image, camera: Camera, fit: FitResult, detections: Sequence[Detection], on_head: bool = True
-) -> int:
-    """Return by how many quarter turns the labels are turned clockwise against the panel's frame, 0 where upright.
+@dataclass(frozen=True)
+class WayUp:
+    """By how many quarter turns the labels are turned clockwise against the panel's frame, 0 where upright or unknown;
+    upright: whether they are read so much better upright that they do not stand on their head."""
 
-    fit: an accepted one to these detections. Only the reader's certainty counts, not what it reads; few buttons say
-    nothing. Few panels are wider than high: the others do not lie on their side, but may stand on their head, where a 7
-    is read as 4; on_head: whether that is asked.
+    quarter_turns: int = 0
+    upright: bool = False
+
+
+def way_up(
+    image: Image, camera: Camera, fit: FitResult, detections: Sequence[Detection], on_head: bool = True
+) -> WayUp:
+    """Return which way up the labels of an accepted fit to these detections stand.
+
+    Only the reader's certainty counts, not what it reads; few buttons say nothing. Few panels are wider than high: the
+    others do not lie on their side, but may stand on their head, where a 7 is read as 4; on_head: whether that is
+    asked.
     """
     corners = [c for c in plane_corners_px(fit, camera, detections) if np.isfinite(c).all()]
     few = _spread(corners, _FEW)
     sideways = fit.rows <= fit.columns
     if len(corners) < _FEWEST or not (sideways or on_head):
-        return 0
+        return WayUp()
     sums = {0: _readable(image, few, 0)}
     if sideways and sums[0] <= _READABLE * len(few):
         few = _spread(corners, _SAMPLE)
@@ -41,7 +51,8 @@ def quarter_turns(
     elif on_head and sums[0] <= _SURELY * len(few):
         sums[2] = _readable(image, few, 2)
     best = max(sums, key=lambda turn: sums[turn])
-    return best if sums[best] > max(sums[0] + _MORE, _LEAST_SHARE * len(few)) else 0
+    turned = sums[best] > max(sums[0] + _MORE, _LEAST_SHARE * len(few))
+    return WayUp(best if turned else 0, sums[0] > sums.get(2, np.inf) + _MORE)
 
 
 def _spread(corners_px: list[Array], number: int) -> list[Array]:
