@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from elevator_rectify.core import fit_panel
+from elevator_rectify.core.geometry.same_places import same_places
 from elevator_rectify.core.lamps.change import exposure, features
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.lamps.watch import (
@@ -17,7 +18,6 @@ from elevator_rectify.core.lamps.watch import (
     confirmed,
     ended,
     reference_of,
-    same_buttons,
     watched,
 )
 from elevator_rectify.core.types import Image
@@ -150,7 +150,7 @@ def test_buttons_are_the_same_though_the_lattice_begins_elsewhere() -> None:
     before = seen(picture())
     fewer = chosen(before, [k for k in range(len(before.labels)) if before.places[k, 1] > 0.5])
     moved = replace(fewer, places=fewer.places - np.array([0.0, fewer.places[:, 1].min()]))
-    pairs = same_buttons(before, moved)
+    pairs = same_places(before, moved)
     assert len(pairs) == len(fewer.labels)
     assert all(before.labels[i] == moved.labels[j] for i, j in pairs)
 
@@ -158,4 +158,4 @@ def test_buttons_are_the_same_though_the_lattice_begins_elsewhere() -> None:
 def test_another_panel_is_not_taken_for_the_same() -> None:
     before = seen(picture())
     other = replace(before, labels=tuple(str(100 + k) for k in range(len(before.labels))))
-    assert not len(same_buttons(before, other))
+    assert not len(same_places(before, other))

@@ -9,17 +9,22 @@ import numpy as np
 
 from elevator_rectify.core.config import SmoothingConfig
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.reading.hidden import SeenLabels, seen_labels
 from elevator_rectify.core.types import Array, FitResult, FitT
 
 # What lies beyond 99.9 % (so many standard deviations of a normal variable) is a jump or another panel, not noise.
 _JUMP_STDS = 3.09
 _SAME_LINE = 0.1
+# Labels that were read are remembered for so long.
+_REMEMBERED_NS = 30_000_000_000
 
 
 @dataclass(frozen=True)
 class Track:
     """The last accepted fit as measured; its smoothed pose and shape (S,), with their covariance (6 + S, 6 + S); the
-    image's stamp. read: the last fit with labels, and the stamp of the image that they were read in."""
+    image's stamp. read: the last fit with labels, and the stamp of the image that they were read in; seen: the labels
+    that were surely read on this panel."""
 
     fit: FitResult
     R: Array
@@ -29,6 +34,15 @@ class Track:
     stamp_ns: int
     read: FitResult | None = None
     read_ns: int = 0
+    seen: SeenLabels | None = None
+
+
+def with_read(track: Track, fit: GridFit, stamp_ns: int, before: Track | None, anew: bool) -> Track:
+    """Return the track with a fit with labels; anew: whether they were read in this very frame."""
+    young = before is not None and 0 <= stamp_ns - before.read_ns < _REMEMBERED_NS
+    seen = seen_labels(fit, before.seen if before is not None and young else None)
+    read_ns = stamp_ns if anew or before is None else before.read_ns
+    return replace(track, read=fit, read_ns=read_ns, seen=seen)
 
 
 def recently_read(track: Track | None, stamp_ns: int, seconds: float) -> FitResult | None:

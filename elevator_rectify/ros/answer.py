@@ -19,8 +19,9 @@ from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.reading.hidden import hidden_labels, unless_hidden
 from elevator_rectify.core.reading.target import Choice, find_button
-from elevator_rectify.core.track import Track, recent, recently_read, smoothed
+from elevator_rectify.core.track import Track, recent, recently_read, smoothed, with_read
 from elevator_rectify.core.types import Array, Button, Detection, FitResult, Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import Rectification, rectify_image
@@ -65,6 +66,8 @@ class Answer:
     found: Found | None = None
     target: str = ""
     choice: Choice | None = None
+    # Labels that were read a little before where nothing is seen now.
+    hidden: frozenset[str] = frozenset()
     standoff_m: float = 0.0
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     labels: LabelsConfig = field(default_factory=LabelsConfig)
@@ -115,7 +118,8 @@ def answer_frame(
     """
     watch = Stopwatch()
     try:
-        reads = node.read and bool(target or {"labels", "overlay", "rectified_overlay"} & set(wanted))
+        labels_wanted = bool(target or {"labels", "overlay", "rectified_overlay"} & set(wanted))
+        reads = node.read and labels_wanted
         given = inputs(frame, node, bool(wanted) or node.measure or frame.detections is None or reads)
         given = given if frame.detections is not None else _with_found(given, frame, found, config)
     except BadMessage as error:
@@ -129,14 +133,16 @@ def answer_frame(
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp, config.smoothing)
     watch.lap("fit")
-    if given.image is not None and reads and fit.ok:
+    hidden = frozenset[str]()
+    if labels_wanted and fit.ok:
         last = None if "reading" in wanted else recently_read(before, stamp, config.network.keyframe_s)
-        fit = with_labels(fit, given.image, given.camera, last)
-        if track is not None:
-            read_ns = stamp if last is None or before is None else before.read_ns
-            track = replace(track, read=fit, read_ns=read_ns)
+        fit = with_labels(fit, given.image, given.camera, last) if reads and given.image is not None else fit
+        track = with_read(track, fit, stamp, before, last is None) if track is not None else None
+        hidden = (
+            hidden_labels(track.seen, fit, given.camera) if track is not None and track.seen is not None else hidden
+        )
         watch.lap("read")
-    choice = chosen(fit, target, config, node, frame.detections) if target else None
+    choice = chosen(fit, target, config, node, frame.detections, hidden) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
         view = rectify_image(given.image, given.camera, fit, config.view)
@@ -151,6 +157,7 @@ def answer_frame(
         found=given.found,
         target=target,
         choice=choice,
+        hidden=hidden,
         standoff_m=config.target.standoff_m,
         stopwatch=watch,
         labels=config.labels,
@@ -171,9 +178,19 @@ def _with_found(given: Inputs, frame: Frame, last: Found | None, config: Config)
     return replace(given, detections=list(found.detections), found=found)
 
 
-def chosen(fit: GridFit, target: str, config: Config, node: NodeConfig, detections: Any) -> Choice:
-    """Return the button that is asked for; where no label is known, the reason names the parameter that may be it."""
-    choice = find_button(fit, target, config.target)
+def chosen(
+    fit: GridFit,
+    target: str,
+    config: Config,
+    node: NodeConfig,
+    detections: Any,
+    hidden: frozenset[str] = frozenset(),
+) -> Choice:
+    """Return the button that is asked for; where no label is known, the reason names the parameter that may be it.
+
+    hidden: labels of buttons that were seen a little before.
+    """
+    choice = unless_hidden(find_button(fit, target, config.target), target, hidden)
     settled = node.detections.numbers_are_labels or node.detections.labels
     if choice.status != "unknown_label" or settled or not has_number_ids(detections):
         return choice

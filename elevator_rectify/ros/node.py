@@ -277,7 +277,7 @@ class ElevatorRectify(Node):
         target = self.config.target
         most = max_lateral_std_m or target.max_lateral_std_m
         config = replace(self.config, target=replace(target, max_lateral_std_m=most))
-        return chosen(answer.fit, label, config, self.node_config, frame.detections)
+        return chosen(answer.fit, label, config, self.node_config, frame.detections, answer.hidden)
 
     def _publish(self, answer: Answer) -> None:
         """Publish what somebody listens to; the status comes last and includes the time of the others."""

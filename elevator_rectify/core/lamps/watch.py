@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from elevator_rectify.core.geometry.same_places import same_places
 from elevator_rectify.core.lamps.change import features, lamp_log_odds
 from elevator_rectify.core.lamps.patches import Patches
 from elevator_rectify.core.types import Array, IntArray
@@ -21,8 +22,6 @@ _NOT_LIT = -2.0
 _BLINKS = 2
 # So many frames without the panel in the end: it was left, or a door opened.
 _LEFT = 5
-# Buttons of two frames are the same within so many pitches; so large a share of the panel must be the same.
-_SAME_PITCH, _SAME_SHARE = 0.3, 0.6
 # Odds are those of pictures that were painted over: reality is trusted with no more.
 _LARGEST = 7.0
 # What is said of a frame that shows buttons, but not these.
@@ -108,7 +107,7 @@ def _sight(watch: Watch, now: Patches) -> Sight:
 
 def changed(before: Patches, now: Patches, label: str) -> Array | str:
     """Return the features of what changed of the button of a label, or why nothing can be said."""
-    pairs = same_buttons(before, now)
+    pairs = same_places(before, now)
     of_it = [k for k, (i, _) in enumerate(pairs) if before.labels[i] == label]
     if before.labels.count(label) > 1:
         return f"{label} is read on {before.labels.count(label)} buttons"
@@ -121,37 +120,6 @@ def changed(before: Patches, now: Patches, label: str) -> Array | str:
 def _chosen(patches: Patches, which: IntArray) -> Patches:
     labels = tuple(patches.labels[k] for k in which)
     return Patches(patches.colour[which], patches.places[which], labels, patches.side_px[which], patches.whole[which])
-
-
-def same_buttons(before: Patches, now: Patches) -> IntArray:
-    """Return pairs (P, 2) of indices of the same buttons; none where it is not surely the same panel.
-
-    The lattice may have another origin in another frame: the shift is the one that makes most places and labels agree.
-    """
-    none = np.zeros((0, 2), dtype=np.int64)
-    if not len(before.places) or not len(now.places):
-        return none
-    shifts = [np.zeros(2)]
-    for i, label in enumerate(before.labels):
-        same = [j for j, other in enumerate(now.labels) if label and other == label]
-        shifts += [now.places[j] - before.places[i] for j in same]
-    pairs = max((_pairs(before, now, shift) for shift in shifts), key=lambda p: _agreement(before, now, p))
-    enough = len(pairs) >= _SAME_SHARE * min(len(before.places), len(now.places))
-    return pairs if enough and _agreement(before, now, pairs) > 0 else none
-
-
-def _pairs(before: Patches, now: Patches, shift: Array) -> IntArray:
-    apart = np.linalg.norm(before.places[:, None] + shift - now.places[None], axis=-1)
-    nearest = apart.argmin(axis=1)
-    mutual = apart.argmin(axis=0)[nearest] == np.arange(len(nearest))
-    kept = np.flatnonzero(mutual & (apart[np.arange(len(nearest)), nearest] < _SAME_PITCH))
-    return np.column_stack([kept, nearest[kept]])
-
-
-def _agreement(before: Patches, now: Patches, pairs: IntArray) -> int:
-    """Count places that agree, and labels, for and against."""
-    labels = [(before.labels[i], now.labels[j]) for i, j in pairs]
-    return len(pairs) + sum(2 if a == b else -2 for a, b in labels if a and b)
 
 
 def confirmed(watch: Watch) -> Pressed | None:

@@ -1,0 +1,55 @@
+"""The same labelled places on a panel in two frames, whose lattices may begin at another row or column."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from elevator_rectify.core.types import Array, IntArray
+
+# Places of two frames are the same within so many pitches; so large a share of the panel must be the same.
+_SAME_PITCH, _SAME_SHARE = 0.3, 0.6
+
+
+class Labelled(Protocol):
+    """Places (K, 2) on a panel in column pitches, with their labels, '' where unknown."""
+
+    @property
+    def places(self) -> Array:
+        """Return the places (K, 2)."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the labels (K,)."""
+
+
+def same_places(before: Labelled, now: Labelled) -> IntArray:
+    """Return pairs (P, 2) of indices of the same places; none where it is not surely the same panel.
+
+    The lattice may have another origin in another frame: the shift is the one that makes most places and labels agree.
+    """
+    none = np.zeros((0, 2), dtype=np.int64)
+    if not len(before.places) or not len(now.places):
+        return none
+    shifts = [np.zeros(2)]
+    for i, label in enumerate(before.labels):
+        same = [j for j, other in enumerate(now.labels) if label and other == label]
+        shifts += [now.places[j] - before.places[i] for j in same]
+    pairs = max((_pairs(before, now, shift) for shift in shifts), key=lambda p: _agreement(before, now, p))
+    enough = len(pairs) >= _SAME_SHARE * min(len(before.places), len(now.places))
+    return pairs if enough and _agreement(before, now, pairs) > 0 else none
+
+
+def _pairs(before: Labelled, now: Labelled, shift: Array) -> IntArray:
+    apart = np.linalg.norm(before.places[:, None] + shift - now.places[None], axis=-1)
+    nearest = apart.argmin(axis=1)
+    mutual = apart.argmin(axis=0)[nearest] == np.arange(len(nearest))
+    kept = np.flatnonzero(mutual & (apart[np.arange(len(nearest)), nearest] < _SAME_PITCH))
+    return np.column_stack([kept, nearest[kept]])
+
+
+def _agreement(before: Labelled, now: Labelled, pairs: IntArray) -> int:
+    """Count places that agree, and labels, for and against."""
+    labels = [(before.labels[i], now.labels[j]) for i, j in pairs]
+    return len(pairs) + sum(2 if a == b else -2 for a, b in labels if a and b)

@@ -1,0 +1,92 @@
+"""Labels that were surely read on a panel a little before: a button that is not seen now may only be hidden."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.same_places import same_places
+from elevator_rectify.core.reading.grid_fit import GridFit
+from elevator_rectify.core.reading.labels import canonical
+from elevator_rectify.core.reading.target import Choice
+from elevator_rectify.core.types import Array, Button
+
+# Labels that are as probable as this are remembered; nearer than so many pitches to where one was, its button is seen.
+_SURE, _NEAR = 0.9, 0.5
+
+
+@dataclass(frozen=True)
+class SeenLabels:
+    """Places (K, 2) on a panel in column pitches, and the label (K,) of each."""
+
+    places: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    labels: tuple[str, ...] = ()
+
+
+def seen_labels(fit: GridFit, before: SeenLabels | None = None) -> SeenLabels:
+    """Return the labels that are surely read on an accepted fit's panel, and those of before that it does not show.
+
+    Where it is another panel, those of before are forgotten.
+    """
+    sure = _labelled(fit, [b for b in _seen(fit) if b.label_source == "read" and b.label_probability >= _SURE])
+    shift = None if before is None else _shift(before, fit)
+    if before is None or shift is None:
+        return sure
+    moved = before.places + shift
+    kept = [k for k, label in enumerate(before.labels) if label not in sure.labels and _far(moved[k], sure.places)]
+    return SeenLabels(np.concatenate([sure.places, moved[kept]]), (*sure.labels, *(before.labels[k] for k in kept)))
+
+
+def hidden_labels(seen: SeenLabels | None, fit: GridFit, camera: Camera) -> frozenset[str]:
+    """Return the labels of which the accepted fit, of the same panel, shows no button, though their places are in the
+    picture."""
+    shift = None if seen is None else _shift(seen, fit)
+    if seen is None or shift is None:
+        return frozenset()
+    places, now = seen.places + shift, _labelled(fit, _seen(fit))
+    points = places * float(fit.pitch[0]) @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+    px = camera.project(points)
+    inside = np.all((px >= 0.0) & (px <= np.array([camera.width - 1.0, camera.height - 1.0])), axis=1)
+    return frozenset(
+        label
+        for place, label, in_picture in zip(places, seen.labels, inside, strict=True)
+        if in_picture and label not in now.labels and _far(place, now.places)
+    )
+
+
+def unless_hidden(choice: Choice, target: str, hidden: frozenset[str]) -> Choice:
+    """Return the choice; as 'occluded' where the button that was asked for is hidden, and none was found that is
+    seen."""
+    name = canonical(target)
+    if name not in hidden or (choice.button is not None and _is_seen(choice.button)):
+        return choice
+    return Choice(None, "occluded", f"{name} was read a little before, and nothing is seen there now")
+
+
+def _is_seen(button: Button) -> bool:
+    """Tell whether the button was detected, or is shown by the picture and was read."""
+    return button.detection >= 0 or button.label_source == "read"
+
+
+def _seen(fit: GridFit) -> list[Button]:
+    return [button for button in fit.buttons if _is_seen(button)]
+
+
+def _labelled(fit: GridFit, buttons: list[Button]) -> SeenLabels:
+    places = np.array([b.panel for b in buttons]).reshape(-1, 2) / float(fit.pitch[0])
+    return SeenLabels(places, tuple(b.label for b in buttons))
+
+
+def _shift(before: SeenLabels, fit: GridFit) -> Array | None:
+    """Return how far (2,) places of before lie from those of the fit, None where it is not surely the same panel."""
+    now = _labelled(fit, _seen(fit))
+    pairs = same_places(before, now)
+    if not len(pairs):
+        return None
+    return np.asarray((now.places[pairs[:, 1]] - before.places[pairs[:, 0]]).mean(axis=0))
+
+
+def _far(place: Array, others: Array) -> bool:
+    return not len(others) or bool(np.linalg.norm(others - place, axis=1).min() > _NEAR)
