@@ -76,7 +76,7 @@ def test_a_hanging_camera_has_no_nine_pressed_for_a_six(label: str) -> None:
     view = scene(4, rows=4, columns=3)
     texts = ["8", "1", label, "2", "5", "0", "", "", "", "", "", ""]
     read = [replace(d, label=t, score=0.99) for d, t in zip(view.detections, texts, strict=True)]
-    lenient = replace(CONFIG.target, min_probability=0.5)
+    lenient = replace(CONFIG.target, min_probability=0.5, min_inferred_probability=0.5)
     refused = find_button(fit_panel(read, view.camera, CONFIG), label, lenient)
     assert refused.status == "unsure_label" and f"{upside_down(label)} upside down" in refused.reason
     said = find_button(fit_panel(read, view.camera, CONFIG), label, replace(lenient, camera_is_upright=True))

@@ -35,7 +35,8 @@ def test_only_a_button_that_was_seen_before_is_hidden() -> None:
 
 
 def test_a_hidden_button_is_not_given_though_inferred_ones_may_be() -> None:
-    lenient, now = replace(METRIC.target, allow_inferred=True, min_probability=0.5), fit_of(LABELS[7])
+    lenient = replace(METRIC.target, allow_inferred=True, min_probability=0.5, min_inferred_probability=0.5)
+    now = fit_of(LABELS[7])
     assert find_button(now, LABELS[7], lenient).button is not None
     hidden = hidden_labels(seen_labels(fit_of()), now, VIEW.camera)
     assert unless_hidden(find_button(now, LABELS[7], lenient), LABELS[7], hidden).status == "occluded"

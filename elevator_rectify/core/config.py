@@ -274,9 +274,14 @@ class TargetConfig(Checked):
         high=1.0,
     )
     min_probability: float = value(
-        0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
+        0.85, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )
-    allow_inferred: bool = value(False, "buttons that were neither detected nor read may be pressed")
+    min_inferred_probability: float = value(
+        0.98, "the same for a label that the others' order tells, and hardly the reading", low=0.0, high=1.0
+    )
+    allow_inferred: bool = value(
+        False, "buttons that were neither detected nor read may be pressed, with min_probability alone"
+    )
     camera_is_upright: bool = value(
         False, "pictures never stand on their head: 6 is no 9 and up no down, though few labels tell which way is up"
     )

@@ -22,6 +22,9 @@ _CANDIDATE = 0.1
 _NOT_OVERRULED = 0.98
 # A label that is read with a low score is believed where the whole panel makes it as sure as this.
 _BY_PANEL = 0.95
+# A label with less of what was read of its button is told by the others alone. Of 320 such of 723 real panels, with .9 and
+# more, 15 were another button's, with .98 and more three of 258; of 4,780 that were read so, seven.
+_HALF_READ = 0.4
 # What digits read as upside down, and those that can only be read upright: they tell, if two buttons, and every
 # twelfth, have one that is surely read.
 _OVER = {"0": "0", "1": "1", "2": "2", "5": "5", "6": "9", "8": "8", "9": "6"}
@@ -104,9 +107,11 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
         return Choice(None, "inferred_only", reason)
     if as_read and not button.score >= config.min_score and not _weighed(fit, button, probability):
         return Choice(None, "low_score", f"{name} is read with score {button.score:.2f} < {config.min_score:g}")
-    if probability < config.min_probability:
-        reason = f"the label is {name} with probability {probability:.3f} < {config.min_probability:g}"
-        return Choice(None, "unsure_label", reason)
+    least, alone = config.min_probability, ""
+    if not (as_read or config.allow_inferred or _half_read(fit, button, name)):
+        least, alone = max(least, config.min_inferred_probability), ", by the others' labels alone,"
+    if probability < least:
+        return Choice(None, "unsure_label", f"the label is {name}{alone} with probability {probability:.3f} < {least:g}")
     if button.label_source == "corrected" and button.score >= _NOT_OVERRULED:
         reason = f"{name} by the floors' order alone, where {canonical(button.read)} is read with {button.score:.2f}"
         return Choice(None, "unsure_label", reason)
@@ -123,6 +128,11 @@ def _weighed(fit: GridFit, button: Button, probability: float) -> bool:
     """Tell whether a label was read with all its alternatives, and is sure by the whole panel: of 26 such that were
     read with low scores none was wrong."""
     return probability >= _BY_PANEL and bool(fit.reading.places.read_at(index_of(fit, button)))
+
+
+def _half_read(fit: GridFit, button: Button, name: str) -> bool:
+    """Tell whether the label has much of what was read of the button, or of its plate."""
+    return dict(fit.reading.places.read_at(index_of(fit, button))).get(name, 0.0) >= _HALF_READ
 
 
 def _of_taught(fit: GridFit, button: Button, name: str, probability: float, config: TargetConfig) -> Choice:
