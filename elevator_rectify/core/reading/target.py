@@ -22,8 +22,8 @@ _CANDIDATE = 0.1
 _NOT_OVERRULED = 0.98
 # A label that is read with a low score is believed where the whole panel makes it as sure as this.
 _BY_PANEL = 0.95
-# A label with less of what was read of its button is told by the others alone. Of 320 such of 723 real panels, with .9 and
-# more, 15 were another button's, with .98 and more three of 258; of 4,780 that were read so, seven.
+# A label with less of what was read of its button is told by the others alone. Of 320 such on 723 real panels, with .9
+# and more, 15 were another button's, with .98 and more three of 258; of 4,780 that were read so, seven.
 _HALF_READ = 0.4
 # What digits read as upside down, and those that can only be read upright: they tell, if two buttons, and every
 # twelfth, have one that is surely read.
@@ -111,7 +111,8 @@ def _decided(fit: GridFit, button: Button, name: str, probability: float, config
     if not (as_read or config.allow_inferred or _half_read(fit, button, name)):
         least, alone = max(least, config.min_inferred_probability), ", by the others' labels alone,"
     if probability < least:
-        return Choice(None, "unsure_label", f"the label is {name}{alone} with probability {probability:.3f} < {least:g}")
+        reason = f"the label is {name}{alone} with probability {probability:.3f} < {least:g}"
+        return Choice(None, "unsure_label", reason)
     if button.label_source == "corrected" and button.score >= _NOT_OVERRULED:
         reason = f"{name} by the floors' order alone, where {canonical(button.read)} is read with {button.score:.2f}"
         return Choice(None, "unsure_label", reason)
