@@ -25,9 +25,9 @@ from elevator_rectify.progress import progress
 from elevator_rectify.recordings.answering import paired_frames
 from elevator_rectify.recordings.look import add_calibration, camera_of
 from elevator_rectify.recordings.topics import InputTopics, find_topics
-from elevator_rectify.ros.answer import inputs
 from elevator_rectify.ros.bag import BadBag, bag_topics, read_bag
 from elevator_rectify.ros.config import NodeConfig, PairingConfig
+from elevator_rectify.ros.inputs import inputs
 from elevator_rectify.ros.pairing import Pairing
 from elevator_rectify.ros.pictures import BadMessage
 

@@ -13,7 +13,6 @@ import numpy as np
 from elevator_rectify.core.config import Config, LabelsConfig
 from elevator_rectify.core.detector.follow import Found, find_or_follow
 from elevator_rectify.core.find import of_own_boxes, with_labels
-from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.scale import with_scale
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.picture.placement import Placement, placement
@@ -26,15 +25,10 @@ from elevator_rectify.core.types import Array, Button, Detection, FitResult, Ima
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import Rectification, rectify_image
 from elevator_rectify.ros.config import DEFAULT_NODE, NodeConfig
-from elevator_rectify.ros.convert import (
-    NUMBER_IDS,
-    camera_from_message,
-    detections_from_message,
-    has_number_ids,
-    stamp_ns,
-)
+from elevator_rectify.ros.convert import NUMBER_IDS, has_number_ids, stamp_ns
+from elevator_rectify.ros.inputs import Inputs, inputs
 from elevator_rectify.ros.pairing import Frame
-from elevator_rectify.ros.pictures import BadMessage, check_image, depth_from_message, image_from_message
+from elevator_rectify.ros.pictures import BadMessage
 
 
 @dataclass
@@ -86,17 +80,6 @@ class Answer:
         return np.asarray(button.point + self.standoff_m * button.normal)
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """A frame's messages as values; image is None where no picture is wanted, depth a text where it is unusable."""
-
-    image: Image | None
-    camera: Camera
-    detections: list[Detection]
-    depth: Array | str | None
-    found: Found | None = None
-
-
 def answer_frame(
     frame: Frame,
     config: Config,
@@ -118,14 +101,27 @@ def answer_frame(
     """
     watch = Stopwatch()
     try:
-        labels_wanted = bool(target or {"labels", "overlay", "rectified_overlay"} & set(wanted))
-        reads = node.read and labels_wanted
+        reads = node.read and _labels_wanted(wanted, target)
         given = inputs(frame, node, bool(wanted) or node.measure or frame.detections is None or reads)
         given = given if frame.detections is not None else _with_found(given, frame, found, config)
     except BadMessage as error:
         bad = GridFit(status="bad_input", reason=str(error), method=config.method)
         return Answer(frame.image.header, bad, stopwatch=watch), track
     watch.lap("convert")
+    return _answered(frame, given, config, wanted, node, track, target, watch)
+
+
+def _answered(
+    frame: Frame,
+    given: Inputs,
+    config: Config,
+    wanted: Collection[str],
+    node: NodeConfig,
+    track: Track | None,
+    target: str,
+    watch: Stopwatch,
+) -> tuple[Answer, Track | None]:
+    """Fit, scale, smooth, read, choose and draw; the arguments are those of `answer_frame`."""
     stamp = stamp_ns(frame.image.header)
     fit, scale = _fit(given, config, recent(track, stamp, config.smoothing), node.measure)
     fit = of_own_boxes(fit, config) if given.found is not None else fit
@@ -133,15 +129,14 @@ def answer_frame(
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp, config.smoothing)
     watch.lap("fit")
-    hidden = frozenset[str]()
-    if labels_wanted and fit.ok:
+    labels_wanted = fit.ok and _labels_wanted(wanted, target)
+    if labels_wanted:
         last = None if "reading" in wanted else recently_read(before, stamp, config.network.keyframe_s)
-        fit = with_labels(fit, given.image, given.camera, last) if reads and given.image is not None else fit
+        fit = with_labels(fit, given.image, given.camera, last) if node.read and given.image is not None else fit
         track = with_read(track, fit, stamp, before, last is None) if track is not None else None
-        hidden = (
-            hidden_labels(track.seen, fit, given.camera) if track is not None and track.seen is not None else hidden
-        )
         watch.lap("read")
+    seen = track.seen if track is not None and labels_wanted else None
+    hidden = hidden_labels(seen, fit, given.camera)
     choice = chosen(fit, target, config, node, frame.detections, hidden) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
@@ -169,6 +164,10 @@ def answer_frame(
     answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track
+
+
+def _labels_wanted(wanted: Collection[str], target: str) -> bool:
+    return bool(target or {"labels", "overlay", "rectified_overlay"} & set(wanted))
 
 
 def _with_found(given: Inputs, frame: Frame, last: Found | None, config: Config) -> Inputs:
@@ -208,54 +207,6 @@ def _with_drawings(answer: Answer, given: Inputs, wanted: Collection[str]) -> An
     if answer.view is not None and "rectified_overlay" in wanted:
         drawings["rectified_overlay"] = draw_rectified(answer.view, buttons, target)
     return replace(answer, **drawings)
-
-
-def inputs(frame: Frame, node: NodeConfig, with_picture: bool = True) -> Inputs:
-    """Return the frame's messages as values. Raises BadMessage where they cannot be used together."""
-    most = node.max_megapixels * 1_000_000
-    image = image_from_message(frame.image, max_pixels=most) if with_picture else None
-    size = check_image(frame.image) if image is None else (int(image.shape[0]), int(image.shape[1]))
-    _check_size(frame.camera_info, size)
-    camera = camera_from_message(frame.camera_info, rectified=node.image_is_rectified)
-    ours, theirs = str(frame.image.header.frame_id), str(frame.camera_info.header.frame_id)
-    nameless = not theirs and node.pairing.nameless_camera_info
-    if ours != theirs and not nameless:
-        way_out = "; see pairing.nameless_camera_info" if not theirs else ""
-        raise BadMessage("camera_info", "header.frame_id", repr(theirs), f"is not the image's {ours!r}{way_out}")
-    if size is not None and size != (camera.height, camera.width):
-        text = f"{camera.width} x {camera.height}"
-        raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")
-    detections = []
-    if frame.detections is not None:
-        _check_frame("detections", frame.detections, ours)
-        detections = detections_from_message(frame.detections, node.detections, (camera.width, camera.height))
-    return Inputs(image, camera, detections, _depth(frame.depth, ours, node.use_depth))
-
-
-def _check_size(info: Any, size: tuple[int, int] | None) -> None:
-    """Raise BadMessage where a camera_info of the whole sensor is of another size than the image."""
-    whole = not (info.roi.width or info.roi.height) and max(info.binning_x, info.binning_y) <= 1
-    if size is not None and whole and size != (info.height, info.width):
-        text = f"{info.width} x {info.height}"
-        raise BadMessage("camera_info", "width x height", text, f"is not the image's {size[1]} x {size[0]}")
-
-
-def _check_frame(topic: str, message: Any, ours: str) -> None:
-    """Raise BadMessage for a message of another camera; a detector may leave the frame empty."""
-    theirs = str(message.header.frame_id)
-    if theirs and theirs != ours:
-        raise BadMessage(topic, "header.frame_id", repr(theirs), f"is not the image's {ours!r}")
-
-
-def _depth(message: Any, ours: str, wanted: bool) -> Array | str | None:
-    """Return the depth in metres, or what is wrong with it: the orientation can be had without."""
-    if message is None:
-        return "no depth image has the image's stamp: see pairing.tolerance_s" if wanted else None
-    try:
-        _check_frame("depth", message, ours)
-        return depth_from_message(message)
-    except BadMessage as error:
-        return str(error)
 
 
 def _fit(given: Inputs, config: Config, previous: FitResult | None, measure: bool) -> tuple[GridFit, str]:
