@@ -9,8 +9,10 @@ import pytest
 from elevator_rectify.benchmark.detector import boxes_of, iou, matched, nearness
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Detection, NetworkConfig, detect_buttons
+from elevator_rectify.core.detector import detect
 from elevator_rectify.core.detector.detect import score_model
 from elevator_rectify.core.detector.follow import Found, find_or_follow, followed
+from elevator_rectify.core.detector.network import HeatMap, heat_map
 from elevator_rectify.core.detector.peaks import Boxes, probabilities, suppressed
 from elevator_rectify.core.types import Array, Image
 
@@ -53,8 +55,33 @@ def test_nothing_is_found_where_there_is_nothing(size: tuple[int, int]) -> None:
 
 def test_it_is_deterministic_and_takes_grey() -> None:
     image = scenes(1)[0].image
-    assert detect_buttons(image) == detect_buttons(image)
+    first = detect_buttons(image)
+    detect._last_found.clear()
+    assert detect_buttons(image) == first
     assert len(detect_buttons(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))) > 0
+
+
+def test_a_picture_is_looked_at_once_and_again_where_a_pixel_or_the_size_changed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks, image = list[float](), scenes(1)[0].image.copy()
+
+    def counted(picture: Image, scale: float) -> HeatMap:
+        looks.append(scale)
+        return heat_map(picture, scale)
+
+    monkeypatch.setattr("elevator_rectify.core.detector.detect.heat_map", counted)
+    detect._last_found.clear()
+    first, once = detect_buttons(image), len(looks)
+    assert once >= 1 and detect_buttons(image.copy()) == first and len(looks) == once
+    image[0, 0] += 1
+    detect_buttons(image)
+    again = len(looks)
+    assert again > once
+    detect_buttons(image, NetworkConfig(detector_side_px=320))
+    assert len(looks) > again
+    detect_buttons(np.ascontiguousarray(image[:, ::-1]))
+    assert len(detect._last_found) == 1
 
 
 def test_the_surest_comes_first_and_none_is_below_the_least_score() -> None:

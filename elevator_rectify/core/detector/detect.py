@@ -3,6 +3,7 @@ panel where its buttons are small."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from functools import cache
 from pathlib import Path
@@ -31,6 +32,8 @@ _AGAIN = 1.4
 _FINER = 1.2
 # With fewer buttons there is no lattice that would tell them from other things.
 _FEW = 6
+# By picture and the side at which it was looked at: of the last one only.
+_last_found: dict[tuple[bytes, tuple[int, ...], int], Boxes] = {}
 
 
 @cache
@@ -58,7 +61,21 @@ def detect_buttons(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> lis
 
 
 def find_boxes(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
-    """Return all boxes of all passes, other things too."""
+    """Return all boxes of all passes, other things too.
+
+    A fit asks for them several times: those of the last picture, known by its bytes, are kept.
+    """
+    picture = hashlib.sha256(np.ascontiguousarray(image).data).digest()
+    key = (picture, image.shape, config.detector_side_px)
+    found = _last_found.get(key)
+    if found is None:
+        found = _found(image, config)
+        _last_found.clear()
+        _last_found[key] = found
+    return found
+
+
+def _found(image: Image, config: NetworkConfig) -> Boxes:
     scale = min(config.detector_side_px / max(image.shape[:2]), _LARGEST_SCALE)
     found = peaks(heat_map(image, scale))
     again = min(1.0, _AGAIN * scale)
