@@ -18,6 +18,8 @@ REFERENCES, JUDGED = 3, 5
 _AGREEING, _LIT = 3, 3.0
 # It surely did not go on below this mean.
 _NOT_LIT = -2.0
+# Of lamps that went on so many change nothing that is seen (white on white, a small dot): against that no frame helps.
+_INVISIBLE = 0.08
 # A lamp that is surely lit in so many of these frames, and surely dark in as many, blinks.
 _BLINKS = 2
 # So many frames without the panel in the end: it was left, or a door opened.
@@ -150,7 +152,8 @@ def ended(watch: Watch) -> Pressed:
         reason = f"{lit} of {len(last)} frames show the lamp of {watch.label} lit, others dark"
         return Pressed("blinks", reason, _probability(mean))
     if mean < _NOT_LIT:
-        return Pressed("not_lit", f"nothing of {watch.label} changed: not lit, or lit before", 1.0 - _probability(mean))
+        probability = float(1.0 / (1.0 + np.exp(mean) + _INVISIBLE))
+        return Pressed("not_lit", f"nothing of {watch.label} changed: not lit, or lit before", probability)
     return Pressed("unseen", f"what is seen of {watch.label} tells neither", _probability(mean))
 
 
