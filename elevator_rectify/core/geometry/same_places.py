@@ -10,6 +10,8 @@ from elevator_rectify.core.types import Array, IntArray
 
 # Places of two frames are the same within so many pitches; so large a share of the panel must be the same.
 _SAME_PITCH, _SAME_SHARE = 0.3, 0.6
+# Shifts that differ by less, in pitches, pair the same places.
+_SAME_SHIFT = 0.1
 
 
 class Labelled(Protocol):
@@ -32,13 +34,23 @@ def same_places(before: Labelled, now: Labelled) -> IntArray:
     none = np.zeros((0, 2), dtype=np.int64)
     if not len(before.places) or not len(now.places):
         return none
-    shifts = [np.zeros(2)]
-    for i, label in enumerate(before.labels):
-        same = [j for j, other in enumerate(now.labels) if label and other == label]
-        shifts += [now.places[j] - before.places[i] for j in same]
-    pairs = max((_pairs(before, now, shift) for shift in shifts), key=lambda p: _agreement(before, now, p))
+    pairs = max(
+        (_pairs(before, now, shift) for shift in _shifts(before, now)), key=lambda p: _agreement(before, now, p)
+    )
     enough = len(pairs) >= _SAME_SHARE * min(len(before.places), len(now.places))
     return pairs if enough and _agreement(before, now, pairs) > 0 else none
+
+
+def _shifts(before: Labelled, now: Labelled) -> list[Array]:
+    """Return the shifts (2,) that bring equal labels together, of much the same ones the first; none is the first."""
+    shifts = {(0.0, 0.0): np.zeros(2)}
+    for i, label in enumerate(before.labels):
+        for j, other in enumerate(now.labels):
+            if label and other == label:
+                shift = now.places[j] - before.places[i]
+                y, x = np.round(shift / _SAME_SHIFT)
+                shifts.setdefault((float(y), float(x)), shift)
+    return list(shifts.values())
 
 
 def _pairs(before: Labelled, now: Labelled, shift: Array) -> IntArray:
