@@ -55,6 +55,19 @@ def spoilt_patch(patch: Image, rng: np.random.Generator) -> Image:
     return random_light(patch, rng)
 
 
+def with_lamp(patch: Image, rng: np.random.Generator) -> Image:
+    """Return the patch of a button without print with a lamp, on or off, that is no 0."""
+    side = patch.shape[0]
+    at = side / 2 + rng.normal(0, 0.12, 2) * side
+    radius = np.exp(rng.uniform(np.log(0.02), np.log(0.09))) * side
+    y, x = np.mgrid[0:side, 0:side]
+    inside = np.clip(radius + 0.5 - np.hypot(x - at[0], y - at[1]), 0.0, 1.0)[..., None]
+    colour = rng.integers(0, 256, 3) if rng.random() < 0.5 else _ink(patch.mean(axis=(0, 1)), rng)
+    glow = cv2.GaussianBlur(inside, (0, 0), 1.0 + radius)[..., None] * rng.uniform(0, 120) * (rng.random() < 0.5)
+    lit = patch * (1.0 - inside) + colour * inside + glow
+    return np.asarray(np.clip(lit, 0, 255).astype(np.uint8))
+
+
 def font_files() -> list[Path]:
     """Return the fonts of the machine (Debian's fonts-dejavu-core, -liberation, -freefont-ttf, -lato, ...)."""
     found = Path("/usr/share/fonts").rglob("*.ttf")

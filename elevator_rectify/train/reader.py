@@ -19,12 +19,16 @@ from elevator_rectify.core.reading.reader import PATCH_PX, normalised
 from elevator_rectify.core.reading.vocabulary import BLANK, KINDS, SLOTS, encoded
 from elevator_rectify.train.labelled import is_other_thing, read_labelled
 from elevator_rectify.train.loop import add_training, train
-from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, random_text, spoilt_patch
+from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, random_text, spoilt_patch, with_lamp
 from elevator_rectify.train.pretrained import begin_with_recogniser
 from elevator_rectify.train.reader_net import ReaderNet
 
 # Batches, of so many patches, that show a recogniser of texts what buttons look like.
 _BATCHES_SHOWN, _SHOWN = 8, 64
+# Shares of buttons without print that get a lamp, and of texts that are shown on their head; characters that no other
+# one is upside down.
+_WITH_LAMP, _ON_ITS_HEAD = 0.4, 0.04
+_UPRIGHT_ONLY = frozenset("23457ABCDEFGJKLPQRTUVY")
 Sample = tuple[Any, NDArray[np.float64], str, tuple[int, ...], str]
 
 
@@ -67,12 +71,21 @@ class Source:
             if rng.random() < self.drawn:
                 patch, kind, code = self._drawn(rng)
             else:
-                image, box, kind, code, _ = self.samples[k]
-                patch = cut_patch(image, box, PATCH_PX, rng)
+                patch, kind, code = self._cut(k, rng)
             patches.append(normalised(spoilt_patch(patch, rng)))
             kinds.append(KINDS.index(kind))
             slots.append(code)
         return torch.from_numpy(np.stack(patches)), torch.tensor(kinds), torch.tensor(slots)
+
+    def _cut(self, k: int, rng: np.random.Generator) -> tuple[Any, str, tuple[int, ...]]:
+        """Return the sample's patch; now and then on its head, which must not be read, or without print but a lamp."""
+        image, box, kind, code, label = self.samples[k]
+        patch = cut_patch(image, box, PATCH_PX, rng)
+        if kind == "empty" and rng.random() < _WITH_LAMP:
+            return with_lamp(patch, rng), kind, code
+        if kind == "text" and set(label) & _UPRIGHT_ONLY and rng.random() < _ON_ITS_HEAD:
+            return patch[::-1, ::-1], "unreadable", (BLANK,) * SLOTS
+        return patch, kind, code
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Any, str, tuple[int, ...]]:
         text = random_text(rng)
