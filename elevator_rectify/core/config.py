@@ -277,7 +277,7 @@ class TargetConfig(Checked):
         0.85, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )
     min_inferred_probability: float = value(
-        0.98, "the same for a label that the others' order tells, and hardly the reading", low=0.0, high=1.0
+        0.98, "the same for a label that the others' order tells, and hardly our own reader", low=0.0, high=1.0
     )
     allow_inferred: bool = value(
         False, "buttons that were neither detected nor read may be pressed, with min_probability alone"
