@@ -71,9 +71,8 @@ def test_upright_panels_wider_than_high_are_left_alone(panels: list[Pictured]) -
         assert way_up(given.image, given.scene.camera, upright, given.scene.detections).quarter_turns == 0
 
 
-@pytest.mark.parametrize("number", [0, 1, 5])
-def test_only_labels_that_stand_upright_are_told_to(number: int) -> None:
-    given = pictured("easy", 60, number, held_out=True)
+def test_only_labels_that_stand_upright_are_told_to() -> None:
+    given = pictured("easy", 60, 1, held_out=True)
     camera, detections = given.scene.camera, list(given.scene.detections)
     # Of panels with many floors, not all of them sharp enough to be read for sure.
     blurred = cv2.GaussianBlur(given.image, (0, 0), 1.0)
