@@ -28,8 +28,9 @@ def fit_of(*missing: str) -> GridFit:
 
 def test_only_a_button_that_was_seen_before_is_hidden() -> None:
     before, now = seen_labels(fit_of(LABELS[9])), fit_of(LABELS[7], LABELS[9])
-    assert hidden_labels(before, now, VIEW.camera) == {LABELS[7]}
-    assert hidden_labels(before, fit_of(LABELS[9]), VIEW.camera) == frozenset()
+    assert hidden_labels(seen_labels(now, before), now, VIEW.camera) == {LABELS[7]}
+    whole = fit_of(LABELS[9])
+    assert hidden_labels(seen_labels(whole, before), whole, VIEW.camera) == frozenset()
     choice = unless_hidden(find_button(now, LABELS[7], METRIC.target), LABELS[7], frozenset({LABELS[7]}))
     assert choice.status == "occluded" and choice.button is None and LABELS[7] in choice.reason
 
@@ -38,7 +39,7 @@ def test_a_hidden_button_is_not_given_though_inferred_ones_may_be() -> None:
     lenient = replace(METRIC.target, allow_inferred=True, min_probability=0.5, min_inferred_probability=0.5)
     now = fit_of(LABELS[7])
     assert find_button(now, LABELS[7], lenient).button is not None
-    hidden = hidden_labels(seen_labels(fit_of()), now, VIEW.camera)
+    hidden = hidden_labels(seen_labels(now, seen_labels(fit_of())), now, VIEW.camera)
     assert unless_hidden(find_button(now, LABELS[7], lenient), LABELS[7], hidden).status == "occluded"
     assert unless_hidden(find_button(now, LABELS[6], lenient), LABELS[6], hidden).button is not None
 
@@ -55,12 +56,14 @@ def test_what_was_seen_is_kept_while_it_is_hidden_and_though_the_lattice_begins_
 
 def test_of_another_panel_nothing_is_hidden() -> None:
     other = SeenLabels(seen_labels(fit_of()).places, tuple(str(70 + k) for k in range(len(LABELS))))
-    assert hidden_labels(other, fit_of(LABELS[7]), VIEW.camera) == frozenset()
+    now = fit_of(LABELS[7])
+    assert hidden_labels(seen_labels(now, other), now, VIEW.camera) == frozenset()
     assert set(seen_labels(fit_of(), other).labels) == set(LABELS)
 
 
 def test_what_left_the_picture_is_not_hidden() -> None:
-    seen, now = seen_labels(fit_of()), fit_of(LABELS[0])
+    now = fit_of(LABELS[0])
+    seen = seen_labels(now, seen_labels(fit_of()))
     x, y = VIEW.pixels[0]
     K = VIEW.camera.matrix - [[0.0, 0.0, x + 5.0], [0.0, 0.0, y + 5.0], [0.0, 0.0, 0.0]]
     cut = type(VIEW.camera).from_matrix(K, VIEW.camera.width, VIEW.camera.height)

@@ -136,7 +136,7 @@ def _answered(
         track = with_read(track, fit, stamp, before, last is None) if track is not None else None
         watch.lap("read")
     seen = track.seen if track is not None and labels_wanted else None
-    hidden = hidden_labels(seen, fit, given.camera)
+    hidden = hidden_labels(seen, fit, given.camera) if seen is not None else frozenset()
     choice = chosen(fit, target, config, node, frame.detections, hidden) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):

@@ -55,9 +55,15 @@ def _shifts(before: Labelled, now: Labelled) -> list[Array]:
 
 def _pairs(before: Labelled, now: Labelled, shift: Array) -> IntArray:
     apart = np.linalg.norm(before.places[:, None] + shift - now.places[None], axis=-1)
+    return mutually_nearest(apart, _SAME_PITCH)
+
+
+def mutually_nearest(apart: Array, within: float) -> IntArray:
+    """Return pairs (P, 2) of a row and a column of distances (M, N), M and N not 0, each the other's least, below a
+    limit."""
     nearest = apart.argmin(axis=1)
-    mutual = apart.argmin(axis=0)[nearest] == np.arange(len(nearest))
-    kept = np.flatnonzero(mutual & (apart[np.arange(len(nearest)), nearest] < _SAME_PITCH))
+    row = np.arange(len(nearest))
+    kept = np.flatnonzero((apart.argmin(axis=0)[nearest] == row) & (apart[row, nearest] < within))
     return np.column_stack([kept, nearest[kept]])
 
 

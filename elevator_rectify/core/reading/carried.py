@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.geometry.pose import on_plane
+from elevator_rectify.core.geometry.same_places import mutually_nearest
 from elevator_rectify.core.types import Array, Detection, FitResult
 
 # A panel that moved by more than this share of a pitch may be seen from another row or column on.
@@ -29,8 +30,7 @@ def same_buttons(fit: FitResult, last: FitResult) -> dict[int, int]:
         return {}
     apart = np.linalg.norm(_places(fit)[:, None] - _places(last)[None], axis=-1)
     apart = np.where(np.isfinite(apart), apart, np.inf)
-    nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
-    return {k: int(n) for k, n in enumerate(nearest) if apart[k, n] < _SAME_PLACE and back[n] == k}
+    return {int(k): int(n) for k, n in mutually_nearest(apart, _SAME_PLACE)}
 
 
 def _places(fit: FitResult) -> Array:

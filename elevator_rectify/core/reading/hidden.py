@@ -26,7 +26,8 @@ class SeenLabels:
 
 
 def seen_labels(fit: GridFit, before: SeenLabels | None = None) -> SeenLabels:
-    """Return the labels that are surely read on an accepted fit's panel, and those of before that it does not show.
+    """Return the labels that are surely read on an accepted fit's panel, and those of before that it does not show, at
+    their places on this panel.
 
     Where it is another panel, those of before are forgotten.
     """
@@ -39,19 +40,18 @@ def seen_labels(fit: GridFit, before: SeenLabels | None = None) -> SeenLabels:
     return SeenLabels(np.concatenate([sure.places, moved[kept]]), (*sure.labels, *(before.labels[k] for k in kept)))
 
 
-def hidden_labels(seen: SeenLabels | None, fit: GridFit, camera: Camera) -> frozenset[str]:
-    """Return the labels of which the accepted fit, of the same panel, shows no button, though their places are in the
-    picture."""
-    shift = None if seen is None else _shift(seen, fit)
-    if seen is None or shift is None:
-        return frozenset()
-    places, now = seen.places + shift, _labelled(fit, _seen(fit))
-    points = places * float(fit.pitch[0]) @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+def hidden_labels(seen: SeenLabels, fit: GridFit, camera: Camera) -> frozenset[str]:
+    """Return the labels of which the accepted fit shows no button, though their places are in the picture.
+
+    seen: what is known of this fit's panel (`seen_labels`).
+    """
+    now = _labelled(fit, _seen(fit))
+    points = seen.places * float(fit.pitch[0]) @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
     px = camera.project(points)
     inside = np.all((px >= 0.0) & (px <= np.array([camera.width - 1.0, camera.height - 1.0])), axis=1)
     return frozenset(
         label
-        for place, label, in_picture in zip(places, seen.labels, inside, strict=True)
+        for place, label, in_picture in zip(seen.places, seen.labels, inside, strict=True)
         if in_picture and label not in now.labels and _far(place, now.places)
     )
 
