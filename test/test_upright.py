@@ -71,10 +71,12 @@ def test_upright_panels_wider_than_high_are_left_alone(panels: list[Pictured]) -
         assert way_up(given.image, given.scene.camera, upright, given.scene.detections).quarter_turns == 0
 
 
-def test_only_labels_that_stand_upright_are_told_to() -> None:
-    given = pictured("easy", 60, 1, held_out=True)
+@pytest.mark.parametrize("number", [0, 1, 5])
+def test_only_labels_that_stand_upright_are_told_to(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of labels that are surely read, too, both turns are asked here.
+    monkeypatch.setattr("elevator_rectify.core.reading.upright._SURELY", 1.0)
+    given = pictured("easy", 60, number, held_out=True)
     camera, detections = given.scene.camera, list(given.scene.detections)
-    # Of panels with many floors, not all of them sharp enough to be read for sure.
     blurred = cv2.GaussianBlur(given.image, (0, 0), 1.0)
     upright = fit_panel(detections, camera, image=blurred)
     assert upright.labels_upright

@@ -274,7 +274,7 @@ class TargetConfig(Checked):
         high=1.0,
     )
     min_probability: float = value(
-        0.85, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
+        0.9, "a button is pressed if its label is right, and no other's, with this probability", low=0.0, high=1.0
     )
     min_inferred_probability: float = value(
         0.98, "the same for a label that the others' order tells, and hardly our own reader", low=0.0, high=1.0

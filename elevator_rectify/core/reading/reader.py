@@ -31,8 +31,9 @@ PATCH_PX, MARGIN = 96, 1.25
 _LARGE_PX = 20.0
 # Pictures that are shrunk by more than this are smoothed first.
 SHARPEST = 1.6
-# What is read as no button with so much is none, on a panel whose buttons are usually read as such with less.
-_NO_BUTTON, _USUAL_OTHER = 0.5, 0.5
+# What is read as no button with so much is none, on a panel whose buttons are usually read as such with less, and with
+# odds that are so many times less.
+_NO_BUTTON, _USUAL_OTHER, _UNUSUAL = 0.5, 0.5, 10.0
 # So many buttons tell what is usual on a panel.
 _SAMPLE = 8
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
@@ -168,9 +169,11 @@ def no_buttons(image: Image, camera: Camera, fit: FitResult) -> set[tuple[int, i
         return set()
     other = [read.other for read in _read_cells(image, camera, fit, [*cells, *sample])]
     # Buttons without print are read as no buttons, too: then nothing can be said.
-    if not float(np.median(other[len(cells) :])) < _USUAL_OTHER:
+    usual = float(np.median(other[len(cells) :]))
+    if not usual < _USUAL_OTHER:
         return set()
-    return {cell for cell, o in zip(cells, other, strict=False) if o > _NO_BUTTON}
+    odds = _UNUSUAL * usual / (1.0 - usual)
+    return {cell for cell, o in zip(cells, other, strict=False) if o > max(_NO_BUTTON, odds / (1.0 + odds))}
 
 
 def read_undetected(image: Image, camera: Camera, fit: FitT, last: FitResult | None = None) -> FitT:
