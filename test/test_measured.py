@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from elevator_rectify.benchmark.end_to_end import stretched_camera, true_detections
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
 from elevator_rectify.benchmark.turned_reading import turned
 from elevator_rectify.core import Camera, Config, fit_panel
@@ -19,8 +22,10 @@ from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.types import Array
 from elevator_rectify.recordings.evaluate import cells_right
 from elevator_rectify.render.scene import Scene, paper_camera
+from elevator_rectify.train.labelled import read_labelled
 
 _N = 33
+_LABELLED = Path(__file__).parent.parent.parent / "shared" / "data" / "labelled"
 
 
 def _ring(shift: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
@@ -234,3 +239,12 @@ def test_what_the_edges_said_stays_with_a_tracked_panel() -> None:
     assert first.measurement is not None and second.measurement is not None
     assert np.isfinite(first.measurement.uprightness).all()
     np.testing.assert_array_equal(second.measurement.uprightness, first.measurement.uprightness)
+
+
+@pytest.mark.skipif(not _LABELLED.exists(), reason="the real panels' folder is not beside the checkout")
+def test_a_search_that_the_picture_leads_away_from_every_box_does_not_end_the_fit() -> None:
+    # In the first search no detection is left on the lattice that this picture shows.
+    (picture,) = read_labelled(_LABELLED, names=("1944",))
+    camera = stretched_camera(1.0, picture.image.shape[1])
+    fit = fit_panel(true_detections(picture), camera, image=picture.image)
+    assert fit.inliers > 0 and fit.confidence > 0.0

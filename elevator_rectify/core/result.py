@@ -150,7 +150,9 @@ def sideways_std(found: FitResult) -> float:
 
 
 def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
-    """Return why the fit cannot be a panel: its cells are as small as the noise, or hold several detections each."""
+    """Return why the fit cannot be a panel: its cells are as small as the noise, hold none or several detections."""
+    if not found.inliers:
+        return "no detection lies on the lattice that the picture shows"
     steps = [np.linalg.norm(np.diff(found.grid_px, axis=axis), axis=2) for axis in (0, 1)]
     pitch_px, sigma_px = min(float(np.nanmedian(step)) for step in steps), fit.sigma * camera.focal_px
     if not pitch_px >= _FINEST_PITCH_SIGMAS * sigma_px:
