@@ -85,10 +85,24 @@ def test_what_is_read_is_a_distribution_and_polarity_does_not_matter_to_its_form
 def test_one_batch_reads_what_single_ones_read() -> None:
     patches = [patch(text) for text in ("3", "12", "G")]
     together = read_patches(patches)
-    for alone, read in zip((read_patches([p])[0] for p in patches), together, strict=True):
+    for p, read in zip(patches, together, strict=True):
+        reader._last_logits.clear()
+        (alone,) = read_patches([p])
         assert alone.label == read.label
         assert alone.certainty == pytest.approx(read.certainty, abs=1e-4)
     assert read_patches([]) == []
+
+
+def test_the_last_patches_are_remembered_each_by_its_own_bytes() -> None:
+    reader._last_logits.clear()
+    patches = [patch(text) for text in ("3", "12", "3")]
+    logits = reader.logits_of(patches)
+    assert len(reader._last_logits) == 2 and (logits[0] == logits[2]).all() and (logits[0] != logits[1]).any()
+    known = dict(reader._last_logits)
+    np.testing.assert_array_equal(reader.logits_of(patches[::-1]), logits[::-1])
+    assert all(reader._last_logits[key] is row for key, row in known.items())
+    reader.logits_of([patch(str(n)) for n in range(reader._KEPT + 5)])
+    assert len(reader._last_logits) == reader._KEPT
 
 
 def test_the_plane_and_the_box_agree_where_the_camera_faces_the_panel() -> None:

@@ -6,6 +6,7 @@ most of it on 'unreadable'.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import lzma
 from collections.abc import Sequence
@@ -38,6 +39,9 @@ _NO_BUTTON, _USUAL_OTHER, _UNUSUAL = 0.5, 0.5, 10.0
 _SAMPLE = 8
 # Labels that are likely enough to be told; a text's slots are searched by so many characters each.
 _MOST_LABELS, _MOST_CHARACTERS, _LEAST = 5, 3, 1e-3
+# Patches whose logits are kept, by their bytes.
+_KEPT = 128
+_last_logits: dict[tuple[Path, bytes], Array] = {}
 # Written by `calibrate --reader`: the temperatures that soften the network's certainty.
 CALIBRATION = Path(__file__).with_name("reader.json")
 
@@ -71,12 +75,21 @@ def read_patches(patches: Sequence[Image], weights: Path = WEIGHTS) -> list[Read
 
 
 def logits_of(patches: Sequence[Image], weights: Path = WEIGHTS) -> Array:
-    """Return the network's logits (N, kinds and slots)."""
-    if not len(patches):
-        return np.zeros((0, len(KINDS) + SLOTS * (BLANK + 1)))
-    network = _network(weights)
-    network.setInput(np.stack([normalised(p) for p in patches]))
-    return np.asarray(network.forward())
+    """Return the network's logits (N, kinds and slots).
+
+    Whether labels stand upright, and which cells hold no button, is asked before they are read: the last patches are
+    kept.
+    """
+    keys = [(weights, hashlib.sha256(np.ascontiguousarray(p).data).digest()) for p in patches]
+    new = {key: p for key, p in zip(keys, patches, strict=True) if key not in _last_logits}
+    if new:
+        network = _network(weights)
+        network.setInput(np.stack([normalised(p) for p in new.values()]))
+        _last_logits.update(zip(new, np.array(network.forward()), strict=True))
+    logits = np.array([_last_logits[key] for key in keys]).reshape(len(keys), len(KINDS) + SLOTS * (BLANK + 1))
+    for key in list(_last_logits)[:-_KEPT]:
+        del _last_logits[key]
+    return logits
 
 
 @cache
