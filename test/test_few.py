@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from elevator_rectify.benchmark.pictures import few_pictured
-from elevator_rectify.core import Config, Detection, fit_panel, rectify_image
+from elevator_rectify.core import Camera, Config, Detection, fit_panel, rectify_image
 from elevator_rectify.core.config import with_values
 from elevator_rectify.core.find import of_own_boxes
 from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
+from elevator_rectify.core.outline.refinement import moved, system
 from elevator_rectify.core.outline.result import turn_of
-from elevator_rectify.core.outline.shapes import shape_points
+from elevator_rectify.core.outline.shapes import OutlineModel, drawn, normals, shape_points
 from elevator_rectify.core.picture.straight_edges import segments_of, sharpened, support
 from elevator_rectify.core.types import Array, FitResult, Image
 from elevator_rectify.render.panel import Look, regular_panel
@@ -40,10 +41,40 @@ def plate(R: Array) -> Image:
 
 
 def test_rounded_rectangles_are_circles_and_rectangles_at_their_ends() -> None:
-    np.testing.assert_allclose(np.linalg.norm(shape_points(np.array([1.0, 1.0]), 1.0), axis=1), 1.0, atol=1e-9)
-    box = shape_points(np.array([2.0, 1.0]), 0.02)
+    np.testing.assert_allclose(np.linalg.norm(shape_points(np.ones(2), np.array(1.0)), axis=1), 1.0, atol=1e-9)
+    box = shape_points(np.array([2.0, 1.0]), np.array(0.02))
     inside = np.abs(box) - [2.0, 1.0]
     np.testing.assert_allclose(inside.max(axis=1), 0.0, atol=0.01)
+
+
+@settings(deadline=None, derandomize=True)
+@given(st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(0.02, 1.0))
+def test_points_of_a_rounded_rectangle_are_at_no_distance_from_it(width: float, height: float, corner: float) -> None:
+    half = np.array([width, height])
+    radius = corner * half.min()
+    q = np.abs(shape_points(half, np.array(corner))) - half + radius
+    distance = np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0) - radius
+    np.testing.assert_allclose(distance, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.001, -0.002, 0.0)])
+@pytest.mark.parametrize("round_shape", [True, False])
+def test_the_outlines_derivatives_are_those_of_finite_differences(
+    round_shape: bool, distortion: tuple[float, ...]
+) -> None:
+    K = [[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]]
+    camera = Camera.from_matrix(K, 640, 480, distortion, "plumb_bob")
+    centres = np.array([[0.0, 0.0], [0.1, 0.02], [-0.1, 0.12]])
+    R = rotation(np.array([0.4, -0.3, 0.05]))
+    model = OutlineModel(R, np.array([0.05, -0.02, 1.0]), centres, np.array([0.04, 0.03]), 0.4, round_shape)
+    outlines = drawn(model, camera)
+    error, J = system(model, camera, outlines, normals(outlines))
+    np.testing.assert_allclose(error, 0.0, atol=1e-9)
+    step = 1e-5
+    for k, d in enumerate(step * np.eye(model.parameters)):
+        further, back = (system(moved(model, s * d), camera, outlines, normals(outlines))[0] for s in (1.0, -1.0))
+        # Second differences of pixels: 1e3 px times the step squared; the corner's join jumps by as much.
+        np.testing.assert_allclose(J[..., k], (back - further) / (2.0 * step), atol=2e-2, rtol=1e-3)
 
 
 def test_straight_edges_find_the_rotation_of_a_plate() -> None:

@@ -10,16 +10,8 @@ import numpy as np
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
-from elevator_rectify.core.outline.shapes import (
-    Edges,
-    OutlineFit,
-    OutlineModel,
-    edges_of,
-    fit_outlines,
-    normals,
-    strengths,
-    unit_shape,
-)
+from elevator_rectify.core.outline.refinement import OutlineFit, fit_outlines
+from elevator_rectify.core.outline.shapes import Edges, OutlineModel, edges_of, normals, strengths, unit_shape
 from elevator_rectify.core.picture.straight_edges import Segments, segments_of, support
 from elevator_rectify.core.types import Array, Image
 
@@ -34,18 +26,21 @@ _STARTS, _APART_RAD = 2, np.deg2rad(15.0)
 _SAME_RAD = np.deg2rad(2.5)
 # Buttons whose outlines are fitted; of a longer row, some from all along it.
 _MOST_BUTTONS = 5
+# Edges are as long as so much of a button's size at least.
+_SHORTEST_EDGE = 0.8
+NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0))
 _GRAVITY_STD_RAD = np.deg2rad(3.0)
 
 
 @dataclass(frozen=True)
 class FewFit:
     """The best fit to outlines, the best one with another pose (None: there is none), the margin between them in nats,
-    and which of the boxes were used."""
+    and the picture's straight edges, none where they are not asked for."""
 
     best: OutlineFit
     other: OutlineFit | None
     margin: float
-    used: Array
+    segments: Segments
 
 
 def fit_few(boxes: Array, image: Image, camera: Camera, config: Config) -> FewFit | None:
@@ -56,7 +51,9 @@ def fit_few(boxes: Array, image: Image, camera: Camera, config: Config) -> FewFi
     rays = np.column_stack([camera.rays(chosen[:, :2]), np.ones(len(chosen))])
     if not np.isfinite(rays).all():
         return None
-    segments = segments_of(image, camera, 0.8 * float(chosen[:, 2:].mean())) if config.outline.edges else None
+    segments = NO_SEGMENTS
+    if config.outline.edges:
+        segments = segments_of(image, camera, _SHORTEST_EDGE * float(boxes[:, 2:].mean()))
     fits = []
     for shape in (True, False):
         starts = _starts(chosen, rays, edges, camera, config, round_shape=shape)
@@ -68,13 +65,13 @@ def fit_few(boxes: Array, image: Image, camera: Camera, config: Config) -> FewFi
     best = fits[0]
     other = next((f for f in fits[1:] if rotation_angle_rad(normal_turn(f, best)) > _SAME_RAD), None)
     margin = np.inf if other is None else cost(other, segments, config) - cost(best, segments, config)
-    return FewFit(best, other, float(margin), used)
+    return FewFit(best, other, float(margin), segments)
 
 
-def cost(fit: OutlineFit, segments: Segments | None, config: Config) -> float:
+def cost(fit: OutlineFit, segments: Segments, config: Config) -> float:
     """Return the negative log likelihood of outlines, straight edges and gravity."""
     total = fit.cost
-    if segments is not None and len(segments.normal):
+    if len(segments.normal):
         total -= max(support(segments, fit.model.R @ rotations(np.array([[0.0, 0.0, a]]))[0]) for a in _TURNED_RAD)
     up = np.array([config.outline.up_x, config.outline.up_y, config.outline.up_z])
     if np.linalg.norm(up) > 0:

@@ -14,8 +14,9 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import LatticePose, on_plane
 from elevator_rectify.core.geometry.rotations import rotations
 from elevator_rectify.core.outline.pose import FewFit, fit_few
-from elevator_rectify.core.outline.shapes import OutlineFit, OutlineModel
-from elevator_rectify.core.picture.straight_edges import Segments, segments_of, sharpened
+from elevator_rectify.core.outline.refinement import OutlineFit
+from elevator_rectify.core.outline.shapes import OutlineModel
+from elevator_rectify.core.picture.straight_edges import Segments, sharpened
 from elevator_rectify.core.result import Geometry, with_geometry
 from elevator_rectify.core.types import Array, FitResult, Image, IntArray, Measurement
 
@@ -52,15 +53,13 @@ def few_fit(usable: Usable, camera: Camera, config: Config, image: Image, refuse
     found = fit_few(boxes, image, camera, config)
     if found is None or not _shown(found.best):
         return replace(refused, reason=f"{refused.reason}; the picture shows no outlines")
-    shortest = 0.8 * float(usable.sizes_px.mean())
-    segments = segments_of(image, camera, shortest) if config.outline.edges else Segments(np.zeros((0, 3)), np.zeros(0))
     turn = _turned(found.best.model, usable, camera)
-    result = _result(found.best, turn, usable, segments, refused, camera, config)
+    result = _result(found.best, turn, usable, found.segments, refused, camera, config)
     score = logistic_confidence(few_features(found), COEFFICIENTS)
     result = replace(result, confidence=score, margin_nats=found.margin)
     if found.other is not None and found.margin < config.outline.ambiguity_nats:
         other = _result(
-            found.other, _turned(found.other.model, usable, camera), usable, segments, refused, camera, config
+            found.other, _turned(found.other.model, usable, camera), usable, found.segments, refused, camera, config
         )
         reason = f"two poses explain the outlines, {found.margin:.2g} nats apart"
         return replace(result, status="ambiguous", reason=reason, alternatives=(other,))
