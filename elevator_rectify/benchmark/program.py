@@ -20,6 +20,7 @@ from elevator_rectify.benchmark.lamps import lamps_table
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
+from elevator_rectify.benchmark.reliability import reliability_table
 from elevator_rectify.benchmark.self_calibration import self_calibration_table
 from elevator_rectify.benchmark.sequences import sequence_table
 from elevator_rectify.benchmark.shown import shown_table, write_example
@@ -38,6 +39,7 @@ _LABELLED = {
     "detector": "precision and recall of our own detector",
     "reader": "how much our own reader reads right",
     "turned": "reading turned pictures as they are and rectified",
+    "reliability": "confidence and covariance of fits to parts of panels",
     "end-to-end": "from the picture alone to the button, beside true boxes",
     "known": "panels taught from one picture, sought in other views",
     "lamps": "whether a press is confirmed, lamps painted over pictures",
@@ -191,6 +193,7 @@ def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float
         "detector": detector_table,
         "reader": reader_table,
         "turned": turned_reading_table,
+        "reliability": reliability_table,
         "end_to_end": end_to_end_table,
         "known": known_table,
         "lamps": lamps_table,

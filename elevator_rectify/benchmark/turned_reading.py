@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from elevator_rectify.benchmark import rapidocr
 from elevator_rectify.benchmark.end_to_end import CONFIG, first_accepted, judgeable, true_detections
 from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
@@ -15,7 +16,7 @@ from elevator_rectify.core import Camera, Detection, GridFit, fit_panel
 from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.reading.labels import canonical
-from elevator_rectify.core.reading.reader import read_boxes, read_in_plane
+from elevator_rectify.core.reading.reader import box_corners_px, plane_corners_px, read_boxes, read_in_plane
 from elevator_rectify.core.reading.vocabulary import encoded
 from elevator_rectify.core.types import Array, Image
 from elevator_rectify.train.labelled import read_labelled
@@ -26,13 +27,12 @@ ANGLES_DEG = (0.0, 20.0, 40.0, 55.0, 65.0)
 @dataclass(frozen=True)
 class Count:
     """Texts of one picture at one angle: whether the fit was accepted, how many there are, and right as the boxes are,
-    in the plane, and after the panel's order."""
+    in the plane, and after the panel's order; the same three by RapidOCR, where it is installed."""
 
     accepted: bool
     texts: int
-    direct: int
-    rectified: int
-    ordered: int
+    own: tuple[int, ...]
+    rapidocr: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,29 @@ def _count(seen: Turned, truth: list[Detection], texts: list[int], camera: Camer
     fit = fit_panel(seen.detections, camera, CONFIG, image=seen.image)
     direct = [r.label for r in read_boxes(seen.image, seen.detections)]
     plane = [r.label for r in read_in_plane(seen.image, camera, fit)] if fit.ok else direct
-    ordered = {b.detection: b.label for b in with_labels(fit, seen.image, camera).buttons} if fit.ok else {}
-    right = [
-        sum(canonical(labels[k]) == canonical(truth[k].label) for k in inside)
-        for labels in (direct, plane, {k: ordered.get(k, direct[k]) for k in inside})
-    ]
-    return Count(fit.ok, len(inside), *right)
+    labelled = with_labels(fit, seen.image, camera)
+    own = _right(truth, inside, direct, plane, labelled)
+    if not rapidocr.installed():
+        return Count(fit.ok, len(inside), own)
+    boxes = rapidocr.read_by_rapidocr(seen.image, box_corners_px(seen.detections))
+    said = boxes
+    if fit.ok:
+        said = rapidocr.read_by_rapidocr(seen.image, plane_corners_px(fit, camera, seen.detections))
+    brought = [replace(d, label=t, score=score) for d, (t, score) in zip(seen.detections, said, strict=True)]
+    labelled = replace(fit, detections=tuple(brought))
+    theirs = _right(truth, inside, [text for text, _ in boxes], [text for text, _ in said], labelled)
+    return Count(fit.ok, len(inside), own, theirs)
+
+
+def _right(
+    truth: list[Detection], inside: list[int], direct: list[str], plane: list[str], labelled: GridFit
+) -> tuple[int, ...]:
+    """Count what is right as the boxes are read, in the plane, and after the order where there is a fit."""
+    ordered = {b.detection: b.label for b in labelled.buttons} if labelled.ok else {}
+    after = {k: ordered.get(k, direct[k]) for k in inside}
+    return tuple(
+        sum(canonical(labels[k]) == canonical(truth[k].label) for k in inside) for labels in (direct, plane, after)
+    )
 
 
 def _inside(d: Detection, camera: Camera) -> bool:
@@ -100,17 +117,26 @@ def turned_reading_table(folder: Path, figures: Figures) -> str:
     """Return the table over the validation part's panels that are accepted as they are."""
     tasks = [(str(folder), p.name) for p in read_labelled(folder, validation=True) if judgeable(p)]
     results = [r for r in parallel(run_picture, tasks, "turned pictures") if r]
+    by_angle = list(zip(ANGLES_DEG, zip(*results, strict=True), strict=True))
+    lines = [f"texts of {len(results)} real panels turned about their upright middle, true boxes, right by the reader"]
+    lines += _lines("our own reader", by_angle, "own")
+    for angle, counts in by_angle:
+        rectified, texts = sum(c.own[1] for c in counts), sum(c.texts for c in counts)
+        figures.share(f"real panels turned by {angle:g}, texts rectified+", rectified, texts)
+    if rapidocr.installed():
+        lines += _lines("RapidOCR, the surer of two views", by_angle, "rapidocr")
+    return "\n".join(lines)
+
+
+def _lines(title: str, by_angle: list[tuple[float, tuple[Count, ...]]], reader: str) -> list[str]:
+    """Return the table of one reader."""
     lines = [
-        f"texts of {len(results)} real panels turned about their upright middle, true boxes, right by the reader",
+        title,
         f"{'turned by':<11}{'fit accepted':>13}{'texts':>7}{'as they are':>13}{'rectified':>11}{'after the order':>17}",
     ]
-    for angle, counts in zip(ANGLES_DEG, zip(*results, strict=True), strict=True):
-        texts, direct, rectified, ordered = (
-            sum(getattr(c, part) for c in counts) for part in ("texts", "direct", "rectified", "ordered")
-        )
-        figures.share(f"real panels turned by {angle:g}, texts rectified+", rectified, texts)
-        lines.append(
-            f"{angle:<11g}{np.mean([c.accepted for c in counts]):>13.3f}{texts:>7}{direct / max(1, texts):>13.3f}"
-            f"{rectified / max(1, texts):>11.3f}{ordered / max(1, texts):>17.3f}"
-        )
-    return "\n".join(lines)
+    for angle, counts in by_angle:
+        texts = sum(c.texts for c in counts)
+        direct, rectified, ordered = np.sum([getattr(c, reader) for c in counts], axis=0) / max(1, texts)
+        accepted = np.mean([c.accepted for c in counts])
+        lines.append(f"{angle:<11g}{accepted:>13.3f}{texts:>7}{direct:>13.3f}{rectified:>11.3f}{ordered:>17.3f}")
+    return lines

@@ -14,11 +14,12 @@ import numpy as np
 
 from elevator_rectify.benchmark.negatives import KINDS, boxed
 from elevator_rectify.benchmark.parallel import parallel
+from elevator_rectify.benchmark.parts_of_panels import as_stated
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
 from elevator_rectify.benchmark.synthetic import CHI2_3, RIGHT_CELLS, judged
 from elevator_rectify.calibrate import filled, lamps, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
-from elevator_rectify.calibrate.real_pictures import as_stated, names_of, real_examples, searched
+from elevator_rectify.calibrate.real_pictures import names_of, real_examples, searched
 from elevator_rectify.core import confidence
 from elevator_rectify.core.attempts import best_attempt
 from elevator_rectify.core.confidence import expanded, features

@@ -251,7 +251,7 @@ def is_small(corners_px: Array) -> bool:
 def quadrangle_logits(image: Image, corners_px: Sequence[Array], weights: Path = WEIGHTS) -> Array:
     """Return the logits of the picture's quadrangles (4, 2), clockwise from the upper left, NaN where there is none."""
     blank = np.zeros((PATCH_PX, PATCH_PX), np.uint8)
-    return logits_of([_patch(image, c) if np.isfinite(c).all() else blank for c in corners_px], weights)
+    return logits_of([quadrangle_patch(image, c) if np.isfinite(c).all() else blank for c in corners_px], weights)
 
 
 def _on_panel(fit: FitResult, ray: Array) -> Array:
@@ -290,7 +290,7 @@ def _side_px(corners_px: Array) -> float:
     return float(np.sqrt(abs(cv2.contourArea(corners_px.astype(np.float32)))))
 
 
-def _patch(image: Image, corners_px: Array) -> Image:
+def quadrangle_patch(image: Image, corners_px: Array) -> Image:
     """Return the quadrangle (4, 2) of the picture, clockwise from its upper left corner, as a square patch."""
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) * PATCH_PX - 0.5
     factor = max(1.0, _side_px(corners_px) / PATCH_PX)
