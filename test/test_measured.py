@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from elevator_rectify.benchmark.end_to_end import stretched_camera, true_detections
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
 from elevator_rectify.benchmark.turned_reading import turned
-from elevator_rectify.core import Camera, Config, fit_panel
+from elevator_rectify.core import Camera, Config, JointConfig, fit_panel
+from elevator_rectify.core.geometry.common_errors import with_common_errors
+from elevator_rectify.core.geometry.pose import covariance_at
 from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit
 from elevator_rectify.core.lattice.refinement import Poses
@@ -248,3 +251,22 @@ def test_a_search_that_the_picture_leads_away_from_every_box_does_not_end_the_fi
     camera = stretched_camera(1.0, picture.image.shape[1])
     fit = fit_panel(true_detections(picture), camera, image=picture.image)
     assert fit.inliers > 0 and fit.confidence > 0.0
+
+
+def test_a_doubtful_fit_to_a_picture_is_known_less_by_what_it_may_be_mistaken() -> None:
+    given = pictured("easy", 60, 1, held_out=True)
+    fit = fit_panel(given.scene.detections, given.scene.camera, image=given.image)
+    bare = replace(fit, covariance=fit.shape_covariance[:6, :6], common_response=np.zeros((0, 5)))
+    exact = JointConfig(focal_std_share=0.0, radial_std=0.0)
+    sure, doubtful = (with_common_errors(replace(bare, confidence=p), exact) for p in (1.0, 0.75))
+    np.testing.assert_allclose(sure.covariance, bare.covariance, atol=1e-15)
+    added = doubtful.covariance - bare.covariance
+    np.testing.assert_allclose(added[3:, 3:], 0.25 * np.deg2rad(5.0) ** 2 * np.eye(3), atol=1e-12)
+    # It turns about the middle of the buttons, which stays where the picture shows it.
+    row, column = np.unique(fit.cells, axis=0).T
+    middle = fit.grid_panel[row, column].mean(axis=0)[None]
+    moved = (covariance_at(doubtful, middle) - covariance_at(sure, middle))[0]
+    np.testing.assert_allclose(moved[:3, :3], 0.0, atol=1e-12)
+    assert np.trace((covariance_at(doubtful, middle + 1.0) - covariance_at(sure, middle + 1.0))[0, :3, :3]) > 1e-3
+    boxes = fit_panel(given.scene.detections, given.scene.camera)
+    assert not boxes.common_response[:, 2:].any()

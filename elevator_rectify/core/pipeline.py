@@ -11,7 +11,7 @@ from elevator_rectify.core.attempts import best_attempt, grew, tracked
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.geometry.intrinsics_error import with_intrinsics_error
+from elevator_rectify.core.geometry.common_errors import with_common_errors
 from elevator_rectify.core.known.file import known_panel
 from elevator_rectify.core.known.fit import fit_known
 from elevator_rectify.core.lattice.marks import MARK, marks_as_before, second_lines
@@ -57,14 +57,14 @@ def fit_panel(
         usable = usable_detections(detections, camera, config.input)
         sigma = sigma_px(usable, camera, config) / camera.focal_px
         fit = fit_known(usable, given, camera, sigma, config, known, previous, image)
-        fit = with_intrinsics_error(fit, config.joint)
+        fit = with_common_errors(fit, config.joint)
         return GridFit.of(fit, detections=given)
     config = with_pitches(config)
     fit = _fit(detections, camera, config, previous, image)
     if image is not None and config.measurement.witness:
         fit = _upright(fit, camera, previous, image, given, not config.target.camera_is_upright)
         fit = replace(fit, undetected=_no_buttons(fit, camera, previous, image))
-    fit = with_intrinsics_error(fit, config.joint)
+    fit = with_common_errors(fit, config.joint)
     return GridFit.of(fit, detections=given, plates_on_left=config.labels.plates_on_left)
 
 

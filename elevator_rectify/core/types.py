@@ -134,11 +134,12 @@ class FitResult:
     this is; matched: (N,) which of its buttons each detection is, -1 for none; shown: (K,) which of
     its buttons a detection or the picture shows; known_px: (K, 2) where they are in the (distorted) image.
 
-    covariance: (6, 6) of t and rotation (about the camera's axes), with the errors of the scale and of the camera's
-    calibration. shape_covariance: (6 + S, 6 + S) of t, rotation and what shapes the panel, without those: ln(row pitch
-    / column pitch), then the row breaks and column breaks in pitches, as far as the method has them; scale_std_share:
-    of the scale, over itself; intrinsics_response: (6 + S, 2) by how much one standard deviation of the focal length
-    and of the lens's radial coefficient moves them, (0, 2) where they are taken for exact.
+    covariance: (6, 6) of t and rotation (about the camera's axes), with the errors of the scale, of the camera's
+    calibration and of being mistaken. shape_covariance: (6 + S, 6 + S) of t, rotation and what shapes the panel,
+    without those: ln(row pitch / column pitch), then the row breaks and column breaks in pitches, as far as the method
+    has them; scale_std_share: of the scale, over itself; common_response: (6 + S, 5) by how much one standard deviation
+    of the focal length, of the lens's radial coefficient, and of a mistaken fit's turn about each axis moves them;
+    (0, 5) before it is known.
     """
 
     status: str
@@ -152,7 +153,7 @@ class FitResult:
     covariance: Array = _nan(6, 6)
     shape_covariance: Array = _nan(6, 6)
     scale_std_share: float = 0.0
-    intrinsics_response: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    common_response: Array = field(default_factory=lambda: np.zeros((0, 5)))
     cells: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     rows: int = 0
     columns: int = 0

@@ -113,9 +113,9 @@ def covariance_at(fit: FitResult, panel: Array) -> Array:
     """Return the covariance (K, 6, 6) of the pose at places (K, 2) on the panel, in the fit's unit.
 
     The errors of the aspect and of the gaps move a place along the panel, that of the scale along its line of sight;
-    those of the camera's calibration are in it too.
+    those that all frames have in common, of the camera's calibration and of being mistaken, are in it too.
     """
-    T, response = place_jacobian(fit, panel), fit.intrinsics_response
+    T, response = place_jacobian(fit, panel), fit.common_response
     whole = fit.shape_covariance + response @ response.T if response.size else fit.shape_covariance
     found = T @ whole @ np.swapaxes(T, 1, 2)
     point = panel @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
@@ -125,17 +125,17 @@ def covariance_at(fit: FitResult, panel: Array) -> Array:
 
 def residual_covariance_at(fit: FitResult, panel: Array) -> Array:
     """Return the covariance (K, 6, 6) of the pose at places (K, 2) on the panel that the residuals leave: without what
-    all frames have in common, the errors of scale and calibration."""
+    all frames have in common, the errors of scale and calibration, and of being mistaken."""
     T = place_jacobian(fit, panel)
     return np.asarray(T @ fit.shape_covariance @ np.swapaxes(T, 1, 2))
 
 
-def moved_by_intrinsics(fit: FitResult, panel: Array) -> Array:
-    """Return by how much (K, 6, 2) one standard deviation of the focal length, and of the lens's radial coefficient,
-    moves the pose at places (K, 2) on the panel."""
-    if not fit.intrinsics_response.size:
-        return np.zeros((len(panel), 6, 2))
-    return np.asarray(place_jacobian(fit, panel) @ fit.intrinsics_response)
+def moved_in_common(fit: FitResult, panel: Array) -> Array:
+    """Return by how much (K, 6, C) one standard deviation of each error that all frames have in common moves the pose
+    at places (K, 2) on the panel."""
+    if not fit.common_response.size:
+        return np.zeros((len(panel), 6, fit.common_response.shape[1]))
+    return np.asarray(place_jacobian(fit, panel) @ fit.common_response)
 
 
 def place_jacobian(fit: FitResult, panel: Array) -> Array:

@@ -89,7 +89,7 @@ def with_scale(fit: FitT, camera: Camera, depth_m: Array, config: ScaleConfig) -
 def scaled(fit: FitT, metres: float, std: float) -> FitT:
     """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
     seen = fit.measurement
-    response = fit.intrinsics_response.copy()
+    response = fit.common_response.copy()
     response[:3] *= metres
     return replace(
         fit,
@@ -100,7 +100,7 @@ def scaled(fit: FitT, metres: float, std: float) -> FitT:
         covariance=scale_pose_covariance(fit.covariance, fit.t_camera_panel, metres, std),
         shape_covariance=in_unit(fit.shape_covariance, metres),
         scale_std_share=std / metres,
-        intrinsics_response=response,
+        common_response=response,
         grid_panel=fit.grid_panel * metres,
         grid_points=fit.grid_points * metres,
     )

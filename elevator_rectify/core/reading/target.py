@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.core.config import TargetConfig
-from elevator_rectify.core.geometry.pose import moved_by_intrinsics
+from elevator_rectify.core.geometry.pose import moved_in_common
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.labels import canonical
 from elevator_rectify.core.reading.misread import is_number
@@ -204,6 +204,6 @@ def lateral_std(fit: GridFit, button: Button) -> float:
     Without the part of the camera's calibration: that moves its neighbours with it, and goes as the robot turns to it.
     """
     across: Array = np.linalg.svd(button.normal[None])[2][1:]
-    moved = moved_by_intrinsics(fit, button.panel[None])[0, :3]
+    moved = moved_in_common(fit, button.panel[None])[0, :3]
     own = button.covariance - moved @ moved.T
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(across @ own @ across.T)[-1])))
