@@ -85,7 +85,8 @@ def _column_and_others(on: IntArray, row: IntArray, column: IntArray, which: int
 def is_right(fit: FitResult, truth: FitResult) -> bool:
     """Tell whether a part's fit has the rotation of the fit to all buttons."""
     error = float(np.rad2deg(rotation_angle_rad(truth.R_camera_panel.T @ fit.R_camera_panel)))
-    return as_stated(error, fit.covariance, _RIGHT_DEG)
+    # By the residuals' covariance: a fit is not right because it says that it may be mistaken.
+    return as_stated(error, fit.shape_covariance[:6, :6], _RIGHT_DEG)
 
 
 def as_stated(error_deg: float, covariance: Array, floor_deg: float) -> bool:
