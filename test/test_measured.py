@@ -12,7 +12,7 @@ from elevator_rectify.benchmark.end_to_end import stretched_camera, true_detecti
 from elevator_rectify.benchmark.pictures import SPOILT, pictured
 from elevator_rectify.benchmark.turned_reading import turned
 from elevator_rectify.core import Camera, Config, JointConfig, fit_panel
-from elevator_rectify.core.geometry.common_errors import with_common_errors
+from elevator_rectify.core.geometry.common_errors import covariance_if_right, with_common_errors
 from elevator_rectify.core.geometry.pose import covariance_at
 from elevator_rectify.core.geometry.rotations import rotation, rotation_angle_rad
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit
@@ -268,5 +268,9 @@ def test_a_doubtful_fit_to_a_picture_is_known_less_by_what_it_may_be_mistaken() 
     moved = (covariance_at(doubtful, middle) - covariance_at(sure, middle))[0]
     np.testing.assert_allclose(moved[:3, :3], 0.0, atol=1e-12)
     assert np.trace((covariance_at(doubtful, middle + 1.0) - covariance_at(sure, middle + 1.0))[0, :3, :3]) > 1e-3
+    # Whether two frames agree is asked without it.
+    place = middle[0] + 1.0
+    known = [covariance_at(f, place[None])[0, :3, :3] for f in (doubtful, sure)]
+    np.testing.assert_allclose(covariance_if_right(doubtful, known[0], place), known[1], atol=1e-12)
     boxes = fit_panel(given.scene.detections, given.scene.camera)
     assert not boxes.common_response[:, 2:].any()

@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.node import Node
 
+from elevator_rectify.core.geometry.common_errors import covariance_if_right
 from elevator_rectify.core.reading.agreement import Look, Request, Verdict, timed_out, verdict
 from elevator_rectify.core.reading.target import Choice
 from elevator_rectify.ros.answer import Answer
@@ -132,4 +133,5 @@ def _placed(answer: Answer, choice: Choice, transform: Transform) -> Seen:
     header.frame_id = transform.name
     places = [transform.R @ point + transform.t for point in (button.point, answer.standoff(button))]
     poses = [stamped_pose(pose_of(place, turn, make_ros), covariance, header, make_ros) for place in places]
-    return Seen(Look(choice, places[0], covariance[:3, :3]), *poses)
+    own = transform.R @ covariance_if_right(fit, button.covariance, button.panel) @ transform.R.T
+    return Seen(Look(choice, places[0], own), *poses)

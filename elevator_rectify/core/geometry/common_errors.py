@@ -11,11 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.config import JointConfig
-from elevator_rectify.core.geometry.pose import cross_matrix, place_jacobian, projection_jacobian
+from elevator_rectify.core.geometry.pose import cross_matrix, moved_in_common, place_jacobian, projection_jacobian
 from elevator_rectify.core.types import Array, FitResult, FitT
 
 # A taught panel leaves open the pose and the ratio of the pitches, outlines tell the rotation by themselves.
 _FREE = {"known": 7, "outlines": 3}
+# The columns of `common_response` that say how a mistaken fit is off; those before are of the calibration.
+_MISTAKEN = slice(2, None)
 # So much a mistaken fit to a picture is turned, about each axis: of 858 accepted fits to six to ten buttons of real
 # panels .79 had the rotation of the fit to all buttons in their 95 % region without it, .96 with it; of 171 held-out
 # ones .87 and .96 (`benchmark --reliability`).
@@ -52,6 +54,13 @@ def _mistaken(fit: FitResult, panel: Array) -> Array:
         turned[:3] = std * cross_matrix(fit.R_camera_panel[:, :2] @ panel.mean(axis=0))
         turned[3:6] = std * np.eye(3)
     return turned
+
+
+def covariance_if_right(fit: FitResult, covariance: Array, panel: Array) -> Array:
+    """Return the covariance (3, 3) of a place (2,) on the panel without that of being mistaken: two fits agree where
+    they are as near to each other as they are exact, not because either may be mistaken."""
+    moved = moved_in_common(fit, panel[None])[0, :3, _MISTAKEN]
+    return np.asarray(covariance - moved @ moved.T)
 
 
 def _response(fit: FitResult, panel: Array) -> Array:
