@@ -16,6 +16,7 @@ from elevator_rectify.core import Camera, Detection, GridFit, fit_panel
 from elevator_rectify.core.find import with_labels
 from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.reading.labels import canonical
+from elevator_rectify.core.reading.plates import PLATE
 from elevator_rectify.core.reading.reader import box_corners_px, plane_corners_px, read_boxes, read_in_plane
 from elevator_rectify.core.reading.vocabulary import encoded
 from elevator_rectify.core.types import Array, Image
@@ -102,8 +103,9 @@ def _right(
     truth: list[Detection], inside: list[int], direct: list[str], plane: list[str], labelled: GridFit
 ) -> tuple[int, ...]:
     """Count what is right as the boxes are read, in the plane, and after the order where there is a fit."""
-    ordered = {b.detection: b.label for b in labelled.buttons} if labelled.ok else {}
-    after = {k: ordered.get(k, direct[k]) for k in inside}
+    # What is a label's plate is as it is read: its label is that of the button beside it.
+    ordered = {b.detection: b.label for b in labelled.buttons if b.label != PLATE} if labelled.ok else {}
+    after = {k: ordered.get(k, plane[k]) for k in inside}
     return tuple(
         sum(canonical(labels[k]) == canonical(truth[k].label) for k in inside) for labels in (direct, plane, after)
     )
