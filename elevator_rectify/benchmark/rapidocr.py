@@ -36,7 +36,7 @@ def read_by_rapidocr(image: Image, corners_px: Sequence[Array]) -> list[tuple[st
 
 
 def _surer(patch: Image) -> tuple[str, float]:
-    said = [("", 0.0)]
+    said: list[tuple[str, float]] = []
     for share in _VIEWS:
         answer = _engine()(_middle(patch, share / MARGIN), use_det=False, use_cls=False, use_rec=True)
         said += [(t.strip(), float(score)) for t, score in zip(answer.txts or (), answer.scores or (), strict=True)]

@@ -15,7 +15,6 @@ from elevator_rectify.benchmark.parts_of_panels import is_large, is_right, parts
 from elevator_rectify.benchmark.reader import calibration_error
 from elevator_rectify.benchmark.synthetic import CHI2_3
 from elevator_rectify.core import Config, GridFit, fit_panel
-from elevator_rectify.core.geometry.rotations import rotation_angle_rad
 from elevator_rectify.core.types import Array, FitResult
 from elevator_rectify.train.labelled import read_labelled
 
@@ -56,10 +55,9 @@ def run_panel(task: tuple[str, str]) -> list[PartFit]:
 
 
 def _compared(fit: GridFit, whole: FitResult, with_picture: bool) -> PartFit:
-    turn = whole.R_camera_panel @ fit.R_camera_panel.T
-    w = cv2.Rodrigues(turn)[0].ravel()
+    w = cv2.Rodrigues(whole.R_camera_panel @ fit.R_camera_panel.T)[0].ravel()
     d2 = [float(w @ np.linalg.solve(C[3:6, 3:6], w)) for C in (fit.covariance, fit.shape_covariance)]
-    error = float(np.rad2deg(rotation_angle_rad(turn)))
+    error = float(np.rad2deg(np.linalg.norm(w)))
     return PartFit(with_picture, fit.confidence, is_right(fit, whole), fit.ok, error, *d2)
 
 
@@ -94,13 +92,9 @@ def _accepted_line(accepted: list[PartFit], number: int) -> str:
     if not accepted:
         return f"accepted 0 of {number}"
     error: Array = np.array([f.error_deg for f in accepted])
-    inside = [np.mean([d2 < CHI2_3 for d2 in several]) for several in zip(*_lengths(accepted), strict=True)]
+    inside = np.mean([[d2 < CHI2_3 for d2 in (f.mahalanobis2, f.of_residuals)] for f in accepted], axis=0)
     return (
         f"accepted {len(accepted)} of {number}, right {np.mean([f.right for f in accepted]):.3f}; off by "
         f"{np.median(error):.2f} degrees medianly, {np.quantile(error, 0.95):.1f} for the 95th percentile; "
         f"inside the 95 % region {inside[0]:.3f}, by the residuals alone {inside[1]:.3f}"
     )
-
-
-def _lengths(accepted: list[PartFit]) -> list[tuple[float, float]]:
-    return [(f.mahalanobis2, f.of_residuals) for f in accepted]

@@ -12,7 +12,7 @@ from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotation_angle_rad, rotations
 from elevator_rectify.core.outline.refinement import OutlineFit, fit_outlines
 from elevator_rectify.core.outline.shapes import Edges, OutlineModel, edges_of, normals, strengths, unit_shape
-from elevator_rectify.core.picture.straight_edges import Segments, segments_of, support
+from elevator_rectify.core.picture.straight_edges import NO_SEGMENTS, Segments, segments_of, support
 from elevator_rectify.core.types import Array, Image
 
 _TILTS_RAD = np.deg2rad([0.0, 12.0, 24.0, 36.0, 48.0, 58.0])
@@ -28,7 +28,6 @@ _SAME_RAD = np.deg2rad(2.5)
 _MOST_BUTTONS = 5
 # Edges are as long as so much of a button's size at least.
 _SHORTEST_EDGE = 0.8
-NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0))
 _GRAVITY_STD_RAD = np.deg2rad(3.0)
 
 

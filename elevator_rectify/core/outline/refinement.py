@@ -9,7 +9,15 @@ import numpy as np
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.rotations import rotations
-from elevator_rectify.core.outline.shapes import POINTS, Edges, OutlineModel, drawn, normals, shape_of, strengths
+from elevator_rectify.core.outline.shapes import (
+    POINTS,
+    Edges,
+    OutlineModel,
+    drawn,
+    normals,
+    shape_derivatives,
+    strengths,
+)
 from elevator_rectify.core.types import Array
 
 # Grey values per pixel: weaker edges are noise.
@@ -99,7 +107,7 @@ def _stepped(model: OutlineModel, camera: Camera, target: Array, strength: Array
         step = np.linalg.solve(information + np.diag(1e-9 + 1e-4 * np.diag(information)), gradient)
         step[:2] = np.clip(step[:2], -0.3, 0.3)
         model = moved(model, np.clip(step, -0.5, 0.5))
-    error = _errors(model, camera, target, normal)
+    error = _errors(drawn(model, camera), target, normal)
     seen = weight > 0
     # What is not seen costs as much as what is far off.
     cost = 0.5 * np.log1p((error / _EDGE_STD_PX) ** 2)
@@ -108,14 +116,15 @@ def _stepped(model: OutlineModel, camera: Camera, target: Array, strength: Array
     return OutlineFit(model, total, float(seen.mean()), residual, information)
 
 
-def _errors(model: OutlineModel, camera: Camera, target: Array, normal: Array) -> Array:
-    return np.asarray(((target - np.nan_to_num(drawn(model, camera), nan=1e4)) * normal).sum(axis=-1))
+def _errors(outlines: Array, target: Array, normal: Array) -> Array:
+    """Return how far (N, K) the edges are from the outlines along the normals; far off behind the camera."""
+    return np.asarray(((target - np.nan_to_num(outlines, nan=1e4)) * normal).sum(axis=-1))
 
 
 def system(model: OutlineModel, camera: Camera, target: Array, normal: Array) -> tuple[Array, Array]:
     """Return the errors (N, K) along the normals, and the derivatives (N, K, P) of what the model says instead, by the
     parameters of `moved`; 0 behind the camera."""
-    shape, d_shape = shape_of(model)
+    shape, d_shape = shape_derivatives(model)
     plane = model.centres[:, None] + shape
     outlines, d_point = _seen(plane @ model.R[:, :2].T + model.origin, normal, camera)
     d_plane, d_normal = d_point @ model.R[:, :2], d_point @ model.R[:, 2]
@@ -127,7 +136,7 @@ def system(model: OutlineModel, camera: Camera, target: Array, normal: Array) ->
     J[..., first : first + d_shape.shape[-1]] = np.einsum("nkc,kcs->nks", d_plane, d_shape)
     if not model.round:
         J[..., -1] = d_plane[..., 1] * plane[..., 0] - d_plane[..., 0] * plane[..., 1]
-    return ((target - np.nan_to_num(outlines, nan=1e4)) * normal).sum(axis=-1), np.nan_to_num(J)
+    return _errors(outlines, target, normal), np.nan_to_num(J)
 
 
 def _seen(points: Array, normal: Array, camera: Camera) -> tuple[Array, Array]:

@@ -87,12 +87,16 @@ def unit_shape(model: OutlineModel) -> Array:
     return _DIRECTIONS if model.round else shape_points(np.ones(2), np.array(model.corner))
 
 
-def shape_of(model: OutlineModel) -> tuple[Array, Array]:
+def shape_of(model: OutlineModel) -> Array:
+    """Return the outline (POINTS, 2) around the centre."""
+    return model.half[0] * _DIRECTIONS if model.round else shape_points(model.half, np.array(model.corner))
+
+
+def shape_derivatives(model: OutlineModel) -> tuple[Array, Array]:
     """Return the outline (POINTS, 2) around the centre, and its derivatives (POINTS, 2, S) by ln radius, or by ln half
     sizes (2) and the corner."""
     if model.round:
-        shape = model.half[0] * _DIRECTIONS
-        return shape, shape[..., None]
+        return shape_of(model), shape_of(model)[..., None]
     step = _DIFFERENCE * np.vstack([np.zeros(3), np.eye(3)])
     at, *near = shape_points(model.half * np.exp(step[:, :2]), model.corner + step[:, 2])
     return at, np.stack([(n - at) / _DIFFERENCE for n in near], axis=-1)
@@ -100,7 +104,7 @@ def shape_of(model: OutlineModel) -> tuple[Array, Array]:
 
 def drawn(model: OutlineModel, camera: Camera) -> Array:
     """Return the outlines (N, POINTS, 2) in pixels; NaN for points behind the camera."""
-    plane = model.centres[:, None] + shape_of(model)[0]
+    plane = model.centres[:, None] + shape_of(model)
     return camera.project(plane @ model.R[:, :2].T + model.origin)
 
 

@@ -37,6 +37,9 @@ class Segments:
     std_rad: Array
 
 
+NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0))
+
+
 @dataclass(frozen=True)
 class Photo:
     """A picture (height, width[, 3]) uint8 and its camera; its edges are found when they are first asked for."""
@@ -57,7 +60,7 @@ def segments_of(image: Image, camera: Camera, shortest_px: float) -> Segments:
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else grey
     lines = cv2.createLineSegmentDetector().detect(small)[0]
     if lines is None:
-        return Segments(np.zeros((0, 3)), np.zeros(0))
+        return NO_SEGMENTS
     ends = (lines.reshape(-1, 2, 2).astype(float) + 0.5) / scale - 0.5
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     ends, length = ends[length > shortest_px], length[length > shortest_px]
