@@ -244,6 +244,16 @@ def test_floors_along_the_diagonals_of_a_brick_layout_are_read() -> None:
     assert (np.diff(number[best.index]) > 0).all()
 
 
+@pytest.mark.parametrize("turned", [0, 1])
+def test_floors_that_run_there_and_back_are_read(turned: int) -> None:
+    """7 8 9 above 6 5 4 above 1 2 3, or the other way about."""
+    row, column = (i.ravel().astype(float) for i in np.indices((3, 3)))
+    number = 1.0 + 3 * (2 - row) + np.where(row % 2 == turned, 2 - column, column)
+    places = bare_places(np.column_stack([row, column]), np.column_stack([row, column]))
+    best = likely_orders(places, number)[0]
+    assert (np.diff(number[best.index]) == 1).all()
+
+
 Readings = tuple[tuple[str, float], ...]
 
 

@@ -1,4 +1,5 @@
-"""In which order a panel's floors may be numbered: by rows, columns or diagonals, and how far they jump between."""
+"""In which order a panel's floors may be numbered: by rows (there, or there and back), columns or diagonals, and how
+far they jump between."""
 
 from __future__ import annotations
 
@@ -17,6 +18,8 @@ from elevator_rectify.core.types import Array, BoolArray, IntArray
 # The signs: of the lines, and along each; the first line is the upper or left one.
 _BY_ROWS = {(-1, 1): 0.88, (-1, -1): 0.02, (1, 1): 0.012}
 _BY_COLUMNS = {(1, -1): 0.04, (-1, -1): 0.01, (1, 1): 0.008}
+# Row by row, every second one from the right.
+_THERE_AND_BACK = 0.003
 # Along diagonals, on brick layouts only.
 _BY_DIAGONALS = 0.005
 # From one line to the next, floors jump on few: cut-outs of larger panels, decades, rows of odd or of even floors.
@@ -59,6 +62,9 @@ def _orders(places: PanelPlaces) -> Iterator[Order]:
         yield _sorted(a * row, b * along, prior)
     for (a, b), prior in _BY_COLUMNS.items():
         yield _sorted(a * column, b * down, prior)
+    second = np.unique(row, return_inverse=True)[1] % 2 == 1
+    for turned in (second, ~second):
+        yield _sorted(-row, np.where(turned, -along, along), _THERE_AND_BACK)
     cells = along[: places.cells] % 1.0
     if cells.any() and not cells.all():
         for lean in (-0.5, 0.5):

@@ -26,14 +26,15 @@ _NO_CELL = 0.01
 _MOST_PLACES = 400
 # A button is read, if not surely as what, where its labels have this probability together.
 _READABLE = 0.7
-# On so many of 624 real panels is exactly one button of the name. The reader was trained to expect each label on so
-# many of the buttons that it reads.
+# On so many of 624 real panels is exactly one button of the name. The reader was trained to expect each symbol on so
+# many of the buttons that it reads, and a label that is rarer than symbols on one in so many times as many buttons as
+# there are panels that have it.
 _ON_PANELS = {"open": 0.6, "close": 0.56, "alarm": 0.47, "G": 0.27, "call": 0.14, "B1": 0.1, "B": 0.08, "CH": 0.08}
 # The one who taught a panel erred less often than in so many labels.
 _MOST_TAUGHT = 0.999
 # So many other labels of a button are told, of those that are so likely.
 _MOST_TOLD, _TOLD = 3, 1e-3
-_ON_PANELS_USUAL, _READ_SHARE, _MOST_NAMED = 0.05, 0.014, 0.995
+_ON_PANELS_USUAL, _READ_SHARE, _READ_OF_A_PANEL, _MOST_NAMED = 0.05, 0.014, 12.0, 0.995
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,8 @@ def _named(reading: Reading, name: str) -> Array:
         return alone
     has = _ON_PANELS.get(name, _ON_PANELS_USUAL)
     p = np.clip(alone, 0.0, _MOST_NAMED)
-    weight = has / max(1, int(places.filled.sum())) * p / (1.0 - p) * (1.0 - _READ_SHARE) / _READ_SHARE
+    share = min(_READ_SHARE, has / _READ_OF_A_PANEL)
+    weight = has / max(1, int(places.filled.sum())) * p / (1.0 - p) * (1.0 - share) / share
     return np.asarray(weight / (weight.sum() + 1.0 - has))
 
 
