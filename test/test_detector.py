@@ -84,6 +84,29 @@ def test_a_picture_is_looked_at_once_and_again_where_a_pixel_or_the_size_changed
     assert len(detect._last_found) == 1
 
 
+def test_the_part_of_a_picture_shows_the_same_boxes_as_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for where the network's cells fall, and what it sees around the panel."""
+    given = scenes(1)[0]
+    wide = cv2.copyMakeBorder(given.image, 200, 200, 300, 300, cv2.BORDER_REPLICATE)
+    config = NetworkConfig(detector_side_px=max(wide.shape))
+    boxes = true_boxes(given) + np.array([300.0, 200.0, 300.0, 200.0])
+    centres, sizes = (boxes[:, :2] + boxes[:, 2:]) / 2.0, boxes[:, 2:] - boxes[:, :2]
+    looked = []
+
+    def counted(picture: Image, scale: float) -> HeatMap:
+        looked.append(picture.size)
+        return heat_map(picture, scale)
+
+    monkeypatch.setattr("elevator_rectify.core.detector.detect.heat_map", counted)
+    detect._last_found.clear()
+    part = detect.boxes_at(wide, centres, sizes, config)
+    assert len(looked) == 1 and looked[0] < 0.6 * wide.size
+    whole = detect.find_boxes(wide, config)
+    sure = part.boxes_px[part.is_button & (part.heat > 0.5)]
+    assert len(sure) > 4 and (iou(sure, whole.boxes_px).max(axis=1) > 0.8).all()
+    assert detect.boxes_at(wide, centres, sizes, config) is whole
+
+
 def test_the_surest_comes_first_and_none_is_below_the_least_score() -> None:
     found = detect_buttons(scenes(1)[0].image, NetworkConfig(min_score=0.6))
     scores = [d.score for d in found]

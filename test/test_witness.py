@@ -90,7 +90,8 @@ def test_boxes_around_cap_and_plate_are_confirmed(monkeypatch: pytest.MonkeyPatc
     left = np.column_stack([centres - np.array([30.0, 15.0]), centres + np.array([0.0, 15.0])]) + 0.5
     halves = np.concatenate([left, left + np.array([30.0, 0.0, 30.0, 0.0])])
     found = Boxes(halves, np.full(12, 0.9), np.ones(12, dtype=bool))
-    monkeypatch.setattr("elevator_rectify.core.picture.witness.find_boxes", lambda *given: found)
+    for looked in ("find_boxes", "boxes_at"):
+        monkeypatch.setattr(f"elevator_rectify.core.picture.witness.{looked}", lambda *given: found)
     sizes = np.tile([60.0, 30.0], (6, 1))
     picture = np.zeros((200, 600, 3), np.uint8)
     assert second_opinion(picture, centres, sizes, NETWORK).verdict == CONFIRMED

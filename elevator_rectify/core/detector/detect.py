@@ -30,8 +30,12 @@ _MOST_AREA = 3.0
 _AGAIN = 1.4
 # A pass at less than so many times the scale of the one before shows nothing new.
 _FINER = 1.2
+# A part that is more than this share of the picture is not looked at by itself.
+_MOST_OF_IT = 0.7
 # With fewer buttons there is no lattice that would tell them from other things.
 _FEW = 6
+# A part of the picture: xmin, ymin, xmax, ymax, without the last column and row.
+Region = tuple[int, int, int, int]
 # By picture and the side at which it was looked at: of the last one only.
 _last_found: dict[tuple[bytes, tuple[int, ...], int], Boxes] = {}
 
@@ -65,8 +69,7 @@ def find_boxes(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
 
     A fit asks for them several times: those of the last picture, known by its bytes, are kept.
     """
-    picture = hashlib.sha256(np.ascontiguousarray(image).data).digest()
-    key = (picture, image.shape, config.detector_side_px)
+    key = _key_of(image, config)
     found = _last_found.get(key)
     if found is None:
         found = _found(image, config)
@@ -75,19 +78,52 @@ def find_boxes(image: Image, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
     return found
 
 
+def boxes_at(image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig = DEFAULT_NETWORK) -> Boxes:
+    """Return the boxes that a picture shows at given ones, and around them: centres (N, 2) and sizes (N, 2) in pixels.
+
+    Only their part of the picture is looked at, unless all of it was, or the part is most of it.
+    """
+    known = _last_found.get(_key_of(image, config))
+    if known is not None:
+        return known
+    scale = _first_scale(image, config)
+    side = float(np.median(np.sqrt(sizes_px.prod(axis=1))))
+    low, high = (centres_px - sizes_px / 2.0).min(axis=0), (centres_px + sizes_px / 2.0).max(axis=0)
+    x0, y0, x1, y1 = region = _region(low, high, side, image)
+    part = max(x1 - x0, 0) * max(y1 - y0, 0) / (image.shape[0] * image.shape[1])
+    if not 0.0 < part < _MOST_OF_IT:
+        return find_boxes(image, config)
+    finer = _finer_scale(region, scale, side, image) if scale * side < _SMALL_PX else scale
+    return _seen_in(image, region, max(scale, finer))
+
+
+def _key_of(image: Image, config: NetworkConfig) -> tuple[bytes, tuple[int, ...], int]:
+    picture = hashlib.sha256(np.ascontiguousarray(image).data).digest()
+    return picture, image.shape, config.detector_side_px
+
+
+def _first_scale(image: Image, config: NetworkConfig) -> float:
+    return float(min(config.detector_side_px / max(image.shape[:2]), _LARGEST_SCALE))
+
+
 def _found(image: Image, config: NetworkConfig) -> Boxes:
-    scale = min(config.detector_side_px / max(image.shape[:2]), _LARGEST_SCALE)
+    scale = _first_scale(image, config)
     found = peaks(heat_map(image, scale))
     again = min(1.0, _AGAIN * scale)
     if _sure(found).sum() < _FEWEST and again > _FINER * scale:
         scale, found = again, peaks(heat_map(image, again))
-    region = _small_region(found, scale, image)
-    if region is None:
+    small = _small_region(found, scale, image)
+    if small is None:
         return found
-    (x0, y0, x1, y1), finer = region
-    fine = peaks(heat_map(np.ascontiguousarray(image[y0:y1, x0:x1]), finer))
-    moved = Boxes(fine.boxes_px + np.array([x0, y0, x0, y0], dtype=float), fine.heat, fine.is_button)
-    return _joined(found, moved, np.array([x0, y0, x1, y1], dtype=float))
+    region, finer = small
+    return _joined(found, _seen_in(image, region, finer), np.array(region, dtype=float))
+
+
+def _seen_in(image: Image, region: Region, scale: float) -> Boxes:
+    """Return the boxes in a part of the picture, looked at by itself."""
+    x0, y0, x1, y1 = region
+    seen = peaks(heat_map(np.ascontiguousarray(image[y0:y1, x0:x1]), scale))
+    return Boxes(seen.boxes_px + np.array([x0, y0, x0, y0], dtype=float), seen.heat, seen.is_button)
 
 
 def _sure(found: Boxes) -> BoolArray:
@@ -95,7 +131,7 @@ def _sure(found: Boxes) -> BoolArray:
     return found.is_button & (found.heat > _SURE)
 
 
-def _small_region(found: Boxes, scale: float, image: Image) -> tuple[tuple[int, int, int, int], float] | None:
+def _small_region(found: Boxes, scale: float, image: Image) -> tuple[Region, float] | None:
     """Return the part of the picture and the scale of a finer pass, None where it is not needed or does not help."""
     sure = _sure(found)
     if sure.sum() < _FEWEST:
@@ -104,14 +140,27 @@ def _small_region(found: Boxes, scale: float, image: Image) -> tuple[tuple[int, 
     side = float(np.median(np.sqrt(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))))
     if scale * side >= _SMALL_PX:
         return None
-    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    region = _region(boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0), side, image)
+    finer = _finer_scale(region, scale, side, image)
+    return (region, finer) if finer > _FINER * scale else None
+
+
+def _region(low: Array, high: Array, side: float, image: Image) -> Region:
+    """Return the part of the picture around boxes of that extent and usual side."""
     margin = np.maximum(_MARGIN * (high - low), 3.0 * side)
     height, width = image.shape[:2]
     x0, y0 = np.maximum(low - margin, 0.0).astype(int)
     x1, y1 = np.minimum(high + margin + 1.0, [width, height]).astype(int)
+    return int(x0), int(y0), int(x1), int(y1)
+
+
+def _finer_scale(region: Region, scale: float, side: float, image: Image) -> float:
+    """Return the scale at which a region's buttons of some side are large enough, as far as it does not cost too
+    much."""
+    x0, y0, x1, y1 = region
+    height, width = image.shape[:2]
     most = np.sqrt(_MOST_AREA * scale**2 * height * width / max(1, (x1 - x0) * (y1 - y0)))
-    finer = float(min(_FINE_PX / side, most, _LARGEST_SCALE))
-    return ((int(x0), int(y0), int(x1), int(y1)), finer) if finer > _FINER * scale else None
+    return float(min(_FINE_PX / side, most, _LARGEST_SCALE))
 
 
 def _joined(coarse: Boxes, fine: Boxes, region: Array) -> Boxes:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from elevator_rectify.core.config import NetworkConfig
-from elevator_rectify.core.detector.detect import find_boxes
+from elevator_rectify.core.detector.detect import boxes_at, find_boxes
 from elevator_rectify.core.detector.peaks import Boxes, centres_of
 from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
 
@@ -58,8 +58,18 @@ class Opinion:
 
 
 def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig) -> Opinion:
-    """Return whether the picture shows buttons at the boxes: centres (N, 2) and sizes (N, 2) in pixels."""
-    found = find_boxes(image, config)
+    """Return whether the picture shows buttons at the boxes: centres (N, 2) and sizes (N, 2) in pixels.
+
+    Most boxes are confirmed by a look at their part of the picture.
+    """
+    around = _opinion(boxes_at(image, centres_px, sizes_px, config), image, centres_px, sizes_px, config)
+    if around.verdict == CONFIRMED:
+        return around
+    return _opinion(find_boxes(image, config), image, centres_px, sizes_px, config)
+
+
+def _opinion(found: Boxes, image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig) -> Opinion:
+    """Return what the boxes that were found in the picture say."""
     things = found.boxes_px[found.heat > _SEEN_HEAT]
     seen, shift = _seen(things, centres_px, sizes_px)
     said = f"{seen.mean():.0%} of the boxes are seen in the picture"
