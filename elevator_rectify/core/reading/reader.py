@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elevator_rectify.core.geometry.camera import Camera
-from elevator_rectify.core.geometry.pose import jacobians_px
+from elevator_rectify.core.geometry.pose import jacobians_px, on_plane
 from elevator_rectify.core.reading.carried import as_before, stayed
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
 from elevator_rectify.core.types import Array, Detection, FitResult, FitT, Image
@@ -162,13 +162,11 @@ def read_in_plane(image: Image, camera: Camera, fit: FitResult, which: Sequence[
 def plane_corners_px(fit: FitResult, camera: Camera, detections: Sequence[Detection]) -> list[Array]:
     """Return the corners (4, 2) in the picture of the fit's detections with their margin, as squares of the panel's
     plane, clockwise from the upper left; NaN for those that the fit does not use, or that have no size."""
-    corners = []
-    for ray, size in zip(fit.rays, _units(fit, camera, detections), strict=True):
-        if not np.isfinite(ray).all() or not np.isfinite(size).all():
-            corners.append(np.full((4, 2), np.nan))
-            continue
-        corners.append(_corners_px(fit, camera, _on_panel(fit, ray), size))
-    return corners
+    place, size = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays)[0], _units(fit, camera, detections)
+    sound = np.isfinite(place).all(axis=1) & np.isfinite(size).all(axis=1)
+    corners = np.full((len(size), 4, 2), np.nan)
+    corners[sound] = _corners_px(fit, camera, place[sound], size[sound])
+    return list(corners)
 
 
 def no_buttons(image: Image, camera: Camera, fit: FitResult) -> set[tuple[int, int]]:
@@ -227,14 +225,16 @@ def _cell_corners_px(fit: FitResult, camera: Camera, cell: tuple[int, int]) -> A
     if fit.measurement is None:
         return np.full((4, 2), np.nan)
     shown = np.isfinite(fit.measurement.centre_px[cell]).all()
-    ray = camera.rays(fit.measurement.centre_px[cell] if shown else fit.grid_px[cell])[0]
-    return _corners_px(fit, camera, _on_panel(fit, ray), 2.0 * fit.measurement.half_size)
+    ray = camera.rays(fit.measurement.centre_px[cell] if shown else fit.grid_px[cell])
+    place = on_plane(fit.R_camera_panel, fit.t_camera_panel, ray)[0]
+    return np.asarray(_corners_px(fit, camera, place, 2.0 * fit.measurement.half_size[None])[0])
 
 
 def _corners_px(fit: FitResult, camera: Camera, place: Array, size: Array) -> Array:
-    """Return the corners (4, 2) in the picture of a button with its margin: place (2,) and size (2,) on the panel."""
-    plane = place + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5 * MARGIN * size
-    return camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel)
+    """Return the corners (N, 4, 2) in the picture of buttons with their margin; place, size: (N, 2) on the panel."""
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5 * MARGIN
+    plane = (place[:, None] + square * size[:, None]).reshape(-1, 2)
+    return camera.project(plane @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel).reshape(-1, 4, 2)
 
 
 def read_quadrangles(image: Image, corners_px: Sequence[Array], weights: Path = WEIGHTS) -> list[Read]:
@@ -254,36 +254,36 @@ def quadrangle_logits(image: Image, corners_px: Sequence[Array], weights: Path =
     return logits_of([quadrangle_patch(image, c) if np.isfinite(c).all() else blank for c in corners_px], weights)
 
 
-def _on_panel(fit: FitResult, ray: Array) -> Array:
-    """Return the place (2,) on the panel that is seen along a ray (2,) of the normalised plane."""
-    H = np.column_stack([fit.R_camera_panel[:, :2], fit.t_camera_panel])
-    place = np.linalg.solve(H, np.append(ray, 1.0))
-    return np.asarray(place[:2] / place[2])
-
-
 def _units(fit: FitResult, camera: Camera, detections: Sequence[Detection]) -> Array:
     """Return width and height (N, 2) of the detections' boxes on the panel, in the fit's unit; NaN where unknown.
 
     Detections without a size have that of the buttons which the picture shows.
     """
-    sizes = []
-    for d, ray in zip(detections, fit.rays, strict=True):
-        if not np.isfinite(ray).all():
-            sizes.append(np.full(2, np.nan))
-            continue
-        if not (d.width_px > 0 and d.height_px > 0):
-            sizes.append(np.full(2, np.nan) if fit.measurement is None else 2.0 * fit.measurement.half_size)
-            continue
-        A = np.abs(jacobians_px(fit, _on_panel(fit, ray)[None], camera)[0])
-        # Beyond the horizon of the panel's plane.
-        if not np.isfinite(A).all():
-            sizes.append(np.full(2, np.nan))
-            continue
-        # The box of an ellipse: squares add (`patches.half_size_pitch`).
-        squares = np.linalg.lstsq(A**2, np.array([d.width_px, d.height_px]) ** 2, rcond=None)[0]
-        usual = np.array([d.width_px, d.height_px]) / np.maximum(np.diag(A), 1e-9)
-        sizes.append(np.sqrt(squares) if (squares > 0).all() else usual)
-    return np.array(sizes).reshape(-1, 2)
+    box = np.array([[d.width_px, d.height_px] for d in detections], dtype=float).reshape(-1, 2)
+    used, has_size = np.isfinite(fit.rays).all(axis=1), (box > 0.0).all(axis=1)
+    sized = used & has_size
+    sizes = np.full((len(box), 2), np.nan)
+    if fit.measurement is not None:
+        sizes[used & ~has_size] = 2.0 * fit.measurement.half_size
+    places = on_plane(fit.R_camera_panel, fit.t_camera_panel, fit.rays[sized])[0]
+    # NaN beyond the horizon of the panel's plane.
+    sizes[sized] = _box_on_panel(np.abs(jacobians_px(fit, places, camera)), box[sized])
+    return sizes
+
+
+def _box_on_panel(A: Array, box_px: Array) -> Array:
+    """Return the sizes (N, 2) on the panel of ellipses with boxes (N, 2): squares add (`patches.half_size_pitch`).
+
+    A: (N, 2, 2) absolute derivatives of pixels by the place. Where no ellipse has that box, the size is that of a
+    rectangle as it would be without shear.
+    """
+    (a, b), (c, d) = (A**2).transpose(1, 2, 0)
+    width, height = (box_px**2).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        squares = np.column_stack([d * width - b * height, a * height - c * width]) / (a * d - b * c)[:, None]
+    usual = box_px / np.maximum(np.diagonal(A, axis1=1, axis2=2), 1e-9)
+    real = np.isfinite(squares).all(axis=1) & (squares > 0.0).all(axis=1)
+    return np.where(real[:, None], np.sqrt(np.where(real[:, None], squares, 0.0)), usual)
 
 
 def _side_px(corners_px: Array) -> float:
