@@ -169,6 +169,19 @@ def test_a_wrong_command_line_ends_the_node_with_a_message(wrong: list[str], wor
     assert ended.returncode == 2 and words in ended.stderr and "Traceback" not in ended.stderr
 
 
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+def test_a_node_that_is_ended_while_it_starts_ends_in_order(number: str) -> None:
+    code = (
+        "import os, signal, time; from elevator_rectify.ros.running import run_node\n"
+        f"def make(): os.kill(os.getpid(), signal.{number}); time.sleep(30.0)\n"
+        "raise SystemExit(run_node(make, None))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+
+
 def test_the_demo_answers_every_image(tmp_path: Path) -> None:
     script = "import sys; from elevator_rectify.live.demo import main; sys.exit(main(sys.argv[1:]))"
     command = [

@@ -39,6 +39,10 @@ def run_node(make: Callable[[], Any], args: list[str] | None) -> int:
         # A QoS override that is none is a RuntimeError of rclpy's.
         rclpy.try_shutdown()
         return _refused(error)
+    except KeyboardInterrupt:
+        # While it starts: the first time it compiles for some twenty seconds.
+        rclpy.try_shutdown()
+        return 0
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
