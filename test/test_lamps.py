@@ -10,7 +10,7 @@ import pytest
 
 from elevator_rectify.core import fit_panel
 from elevator_rectify.core.geometry.same_places import same_places
-from elevator_rectify.core.lamps.change import exposure, features
+from elevator_rectify.core.lamps.change import exposure, features, lit_share
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.lamps.watch import (
     REFERENCES,
@@ -60,10 +60,25 @@ def test_a_lamp_that_goes_on_is_confirmed_and_its_absence_told(taking: Taking) -
     assert confirmed(state) is None and ended(state).status == "not_lit" and 0.85 < ended(state).probability < 0.93
 
 
-@pytest.mark.parametrize("lamps", [frozenset({NUMBER + 1}), frozenset({NUMBER - 1, NUMBER + 3}), ALL])
-def test_other_lamps_and_a_lamp_test_confirm_nothing(lamps: frozenset[int]) -> None:
+@pytest.mark.parametrize("lamps", [frozenset({NUMBER + 1}), frozenset({NUMBER - 1, NUMBER + 3})])
+def test_other_lamps_confirm_nothing(lamps: frozenset[int]) -> None:
     state = watch(*3 * [seen(picture(lamps))])
     assert confirmed(state) is None and ended(state).status in {"not_lit", "unseen"}
+
+
+def test_a_test_of_all_lamps_is_told_and_is_over_when_they_are_dark_again() -> None:
+    test = seen(picture(ALL))
+    state = watch(*3 * [test])
+    assert confirmed(state) is None and ended(state).status == "all_lit"
+    assert ended(watch(*3 * [test], *3 * [seen(picture())])).status == "not_lit"
+    answer = confirmed(watch(*3 * [test], *3 * [seen(picture(frozenset({NUMBER})))]))
+    assert answer is not None and answer.succeeds
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_another_exposure_is_no_test_of_the_lamps(gain: float) -> None:
+    before, after = seen(picture()), seen(picture(taking=Taking(gain=gain)))
+    assert lit_share(before, after) < 0.2
 
 
 def test_a_lamp_that_was_lit_before_is_not_confirmed() -> None:

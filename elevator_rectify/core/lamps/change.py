@@ -25,6 +25,8 @@ _DARK, _OVEREXPOSED, _LEAST_KNOWN = 12.0, 250.0, 0.1
 _FEWEST_FOR_PLANE, _ROUNDS, _RATIO_NOISE = 6, 6, 0.01
 # A lit character covers this share of a patch; grey values that the others' changes do not tell.
 _LIT_SHARE, _NOISE = 0.06, 3.0
+# A button that is so much brighter, and around it less than this share of that, looks as if its lamp went on.
+_BRIGHTER, _SHARE_AROUND = 25.0, 0.3
 # Beside fewer buttons nothing can be said; so many of them are the nearest.
 FEWEST_OTHERS, _NEAREST = 3, 4
 _BUTTON_HALF = 0.5 * SIDE / MARGIN
@@ -44,18 +46,8 @@ def features(before: Patches, after: Patches, k: int) -> Array | None:
     others = np.delete(np.arange(len(before.colour)), k)
     if len(others) < FEWEST_OTHERS or not (before.whole[k] and after.whole[k]):
         return None
-    was = before.colour
-    now = after.colour / exposure(before, after)[:, None, None, None]
-    raw = np.column_stack(
-        [
-            _top(_beyond(now.max(axis=-1), was.max(axis=-1)), ~_AROUND),
-            _top(_beyond(np.ptp(now, axis=-1), np.ptp(was, axis=-1)), ~_AROUND),
-            _top(_beyond(-now.max(axis=-1), -was.max(axis=-1)), ~_AROUND),
-            _mean(_beyond(now.max(axis=-1), was.max(axis=-1)), _AROUND),
-            _mean(_beyond(-now.max(axis=-1), -was.max(axis=-1)), _AROUND),
-            _mean(_beyond(np.ptp(now, axis=-1), np.ptp(was, axis=-1)), _AROUND),
-        ]
-    )
+    was, now = before.colour, _as_exposed_before(before, after)
+    raw = _changes(was, now)
     middle = np.median(raw[others], axis=0)
     spread = 1.4826 * np.median(np.abs(raw[others] - middle), axis=0) + _NOISE
     near = others[np.argsort(np.linalg.norm(before.places[others] - before.places[k], axis=1))[:_NEAREST]]
@@ -70,6 +62,32 @@ def features(before: Patches, after: Patches, k: int) -> Array | None:
         ]
     )
     return np.asarray(found)
+
+
+def lit_share(before: Patches, after: Patches) -> float:
+    """Return the share of the buttons that are brighter now, and not around them: most in a test of the lamps."""
+    raw = _changes(before.colour, _as_exposed_before(before, after))
+    return float(((raw[:, 0] > _BRIGHTER) & (raw[:, 3] < _SHARE_AROUND * raw[:, 0])).mean())
+
+
+def _as_exposed_before(before: Patches, after: Patches) -> Array:
+    """Return the patches (K, n, n, 3) after, with the exposure of those before."""
+    return np.asarray(after.colour / exposure(before, after)[:, None, None, None])
+
+
+def _changes(was: Array, now: Array) -> Array:
+    """Return by how much each button (K, 6) is brighter, more colourful and darker, and around it brighter, darker and
+    more colourful, in grey values."""
+    return np.column_stack(
+        [
+            _top(_beyond(now.max(axis=-1), was.max(axis=-1)), ~_AROUND),
+            _top(_beyond(np.ptp(now, axis=-1), np.ptp(was, axis=-1)), ~_AROUND),
+            _top(_beyond(-now.max(axis=-1), -was.max(axis=-1)), ~_AROUND),
+            _mean(_beyond(now.max(axis=-1), was.max(axis=-1)), _AROUND),
+            _mean(_beyond(-now.max(axis=-1), -was.max(axis=-1)), _AROUND),
+            _mean(_beyond(np.ptp(now, axis=-1), np.ptp(was, axis=-1)), _AROUND),
+        ]
+    )
 
 
 def _beyond(now: Array, was: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from elevator_rectify.core.geometry.same_places import same_places
-from elevator_rectify.core.lamps.change import features, lamp_log_odds
+from elevator_rectify.core.lamps.change import features, lamp_log_odds, lit_share
 from elevator_rectify.core.lamps.patches import Patches
 from elevator_rectify.core.types import Array, IntArray
 
@@ -28,6 +28,8 @@ _LEFT = 5
 _LARGEST = 7.0
 # What is said of a frame that shows buttons, but not these.
 ANOTHER = "another panel is seen"
+# What is said where so large a share of the panel's buttons look as if their lamps went on.
+ALL_LIT, _ALL_LIT_SHARE = "the lamps of most buttons went on", 0.6
 
 
 @dataclass(frozen=True)
@@ -110,13 +112,16 @@ def _sight(watch: Watch, now: Patches) -> Sight:
 def changed(before: Patches, now: Patches, label: str) -> Array | str:
     """Return the features of what changed of the button of a label, or why nothing can be said."""
     pairs = same_places(before, now)
+    was, then = _chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1])
     of_it = [k for k, (i, _) in enumerate(pairs) if before.labels[i] == label]
     if before.labels.count(label) > 1:
         return f"{label} is read on {before.labels.count(label)} buttons"
     if len(of_it) != 1:
         return f"{label} is hidden" if len(pairs) else ANOTHER
-    found = features(_chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1]), of_it[0])
-    return "too little is seen around it" if found is None else found
+    found = features(was, then, of_it[0])
+    if found is None:
+        return "too little is seen around it"
+    return ALL_LIT if lit_share(was, then) >= _ALL_LIT_SHARE else found
 
 
 def _chosen(patches: Patches, which: IntArray) -> Patches:
@@ -144,6 +149,8 @@ def ended(watch: Watch) -> Pressed:
     if len(watch.sights) >= _LEFT and not any(sight.panel for sight in watch.sights[-_LEFT:]):
         return Pressed("panel_left", f"the last {_LEFT} frames do not show the panel: {watch.sights[-1].problem}")
     last = _last(watch)
+    if sum(sight.problem == ALL_LIT for sight in watch.sights[-JUDGED:]) >= _AGREEING:
+        return Pressed("all_lit", f"{ALL_LIT}, as in a test: they tell nothing of {watch.label}")
     if len(last) < _AGREEING:
         why = watch.sights[-1].problem if watch.sights else ""
         return Pressed("unseen", f"{len(last)} frames show {watch.label} since{': ' + why if why else ''}")
