@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elevator_rectify.benchmark import rapidocr, reliability, turned_reading
+from elevator_rectify.benchmark import attitude, rapidocr, reliability, turned_reading
 from elevator_rectify.benchmark.figures import Figures
+from elevator_rectify.core import Detection
+from elevator_rectify.core.reading.attitude import put
 from elevator_rectify.core.types import Image
 
 LABELLED = Path(__file__).parent.parent.parent / "shared" / "data" / "labelled"
@@ -74,3 +76,19 @@ def test_the_reliability_of_what_was_found_is_told_by_bins() -> None:
     assert "region 1.000, by the residuals alone 0.000" in text
     # Three are less sure by .02 than they are right, one is surer by .1.
     assert "calibration error 0.040" in text and "accepted 0 of 1" in reliability._accepted_line([], 1)
+
+
+@pytest.mark.parametrize("way", range(8))
+def test_a_box_is_put_as_its_picture_is(way: int) -> None:
+    picture = np.zeros((60, 60), np.uint8)
+    picture[10:14, 20:30] = 255
+    box = attitude._put(Detection(24.5, 11.5, 10.0, 4.0), way, 60)
+    y, x = np.nonzero(put(picture, way))
+    shown = [x.mean(), y.mean(), np.ptp(x) + 1, np.ptp(y) + 1]
+    assert [box.x_px, box.y_px, box.width_px, box.height_px] == [float(v) for v in shown]
+
+
+@pytest.mark.skipif(not LABELLED.exists(), reason="the real panels' folder is not beside the checkout")
+def test_a_real_panel_is_told_to_stand_upright_only_as_it_is() -> None:
+    said = attitude.run_panel((str(LABELLED), "1075"))
+    assert said.pop("as it is") == "upright" and "upright" not in said.values()

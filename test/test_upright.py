@@ -10,6 +10,7 @@ import pytest
 
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Camera, Config, Detection, JointConfig, fit_panel
+from elevator_rectify.core.reading.attitude import ATTITUDES, put, upright_nats
 from elevator_rectify.core.reading.upright import WayUp, way_up
 from elevator_rectify.core.types import Array, Image
 
@@ -93,3 +94,39 @@ def test_what_cannot_be_read_is_not_turned() -> None:
     assert way_up(grey, given.scene.camera, fit, given.scene.detections) == WayUp()
     centres = [replace(d, width_px=0.0, height_px=0.0) for d in given.scene.detections]
     assert way_up(given.image, given.scene.camera, fit, centres) == WayUp()
+
+
+def test_what_is_put_one_way_after_the_other_is_put_one_way() -> None:
+    """Eight ways to lay a square: every two of them are one."""
+    square = np.arange(6).reshape(2, 3)
+    ways = [put(square, way).tolist() for way in range(ATTITUDES)]
+    assert len({str(way) for way in ways}) == ATTITUDES
+    assert all(put(put(square, a), b).tolist() in ways for a in range(ATTITUDES) for b in range(ATTITUDES))
+
+
+def test_the_network_sees_every_way_alike() -> None:
+    """A turned patch has the likelihoods of the patch, in another order; one that looks the same in all has one."""
+    rng = np.random.default_rng(4)
+    patch = cv2.resize(rng.integers(0, 255, (12, 12, 3), dtype=np.uint8), (96, 96))
+    for way in range(ATTITUDES):
+        first, turned = upright_nats([patch, np.ascontiguousarray(put(patch, way))])
+        np.testing.assert_allclose(np.sort(first), np.sort(turned), atol=1e-3)
+    assert np.ptp(upright_nats([np.full((96, 96), 90, np.uint8)])) < 1e-4
+
+
+def test_panels_in_a_mirror_are_told() -> None:
+    """Upright ones are never taken for them; of drawn ones in a mirror at least half are told, and none is upright."""
+    told = 0
+    for number in range(8):
+        given = pictured("easy", 60, number, held_out=True)
+        camera, detections = given.scene.camera, list(given.scene.detections)
+        fit = fit_panel(detections, camera)
+        if not fit.ok:
+            continue
+        assert not way_up(given.image, camera, fit, detections).mirrored
+        mirrored = [replace(d, x_px=camera.width - 1 - d.x_px) for d in detections]
+        image = np.ascontiguousarray(given.image[:, ::-1])
+        found = way_up(image, camera, fit_panel(mirrored, camera), mirrored)
+        assert not found.upright
+        told += found.mirrored
+    assert told >= 4

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 
 from elevator_rectify.benchmark.adversarial import adversarial_table
+from elevator_rectify.benchmark.attitude import attitude_table
 from elevator_rectify.benchmark.buttons import buttons_table
 from elevator_rectify.benchmark.detector import detector_table
 from elevator_rectify.benchmark.end_to_end import end_to_end_table
@@ -39,6 +40,7 @@ _LABELLED = {
     "detector": "precision and recall of our own detector",
     "reader": "how much our own reader reads right",
     "turned": "reading turned pictures as they are and rectified",
+    "attitude": "whether labels are told to stand upright, turned or mirrored",
     "reliability": "confidence and covariance of fits to parts of panels",
     "end-to-end": "from the picture alone to the button, beside true boxes",
     "known": "panels taught from one picture, sought in other views",
@@ -193,6 +195,7 @@ def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float
         "detector": detector_table,
         "reader": reader_table,
         "turned": turned_reading_table,
+        "attitude": attitude_table,
         "reliability": reliability_table,
         "end_to_end": end_to_end_table,
         "known": known_table,

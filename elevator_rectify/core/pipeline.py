@@ -87,7 +87,8 @@ def _upright(
     detections: tuple[Detection, ...],
     on_head: bool,
 ) -> FitResult:
-    """Return the fit, as ambiguous where the panel's labels lie on their side, or stand on their head (on_head).
+    """Return the fit, as ambiguous where the panel's labels lie on their side, stand on their head (on_head), or are
+    mirrored.
 
     Those that were seen upright in the frame before are not asked.
     """
@@ -96,6 +97,8 @@ def _upright(
     if previous is not None and previous.ok and _same_grid(fit, previous):
         return replace(fit, labels_upright=previous.labels_upright)
     labels = way_up(image, camera, fit, detections, on_head)
+    if labels.mirrored:
+        return replace(fit, status="ambiguous", reason="the labels are mirrored: it is a panel's image in a mirror")
     if not labels.quarter_turns:
         return replace(fit, labels_upright=labels.upright)
     along = fit.R_camera_panel[:2, 0]

@@ -15,9 +15,11 @@ from pathlib import Path
 import onnx
 import torch
 from onnx import TensorProto, numpy_helper
-from torch import nn
+from torch import Tensor, nn
 
+from elevator_rectify.core.reading.attitude import SIDE_PX
 from elevator_rectify.core.reading.reader import PATCH_PX
+from elevator_rectify.train.attitude_net import AttitudeNet
 from elevator_rectify.train.detector_net import DetectorNet
 from elevator_rectify.train.reader_net import ReaderNet
 
@@ -47,21 +49,22 @@ def without_identities(net: nn.Module) -> nn.Module:
 
 
 def export(checkpoint: Path, output: Path, side: tuple[int, int]) -> None:
-    """Write the detector or reader of a checkpoint; side: height and width of the detector's nominal input."""
+    """Write the network of a checkpoint; side: height and width of the detector's nominal input."""
     state = torch.load(checkpoint, weights_only=True)
-    detector = "head.weight" in state["average"]
-    net: nn.Module = DetectorNet() if detector else ReaderNet()
+    net, shape, names = _network_of(state["average"], side)
     net.load_state_dict(state["average"])
     net = without_identities(folded(net))
-    shape = (1, 3, *side) if detector else (1, 3, PATCH_PX, PATCH_PX)
-    dynamic = None if detector else {"patches": {0: "n"}, "logits": {0: "n"}}
-    names = (
-        {"input_names": ["image"], "output_names": ["out"]}
-        if detector
-        else {"input_names": ["patches"], "output_names": ["logits"]}
-    )
+    dynamic = None if isinstance(net, DetectorNet) else {name: {0: "n"} for name in names}
+    given, said = names
     torch.onnx.export(
-        net, (torch.zeros(shape),), str(output), opset_version=10, dynamo=False, dynamic_axes=dynamic, **names
+        net,
+        (torch.zeros(shape),),
+        str(output),
+        opset_version=10,
+        dynamo=False,
+        dynamic_axes=dynamic,
+        input_names=[given],
+        output_names=[said],
     )
     model = onnx.load(str(output))
     halve(model)
@@ -69,6 +72,17 @@ def export(checkpoint: Path, output: Path, side: tuple[int, int]) -> None:
     packed = model.SerializeToString()
     output.write_bytes(lzma.compress(packed) if output.suffix == ".xz" else packed)
     print(f"{output}: {output.stat().st_size / 1e6:.2f} MB, step {state['step']}")
+
+
+def _network_of(
+    weights: dict[str, Tensor], side: tuple[int, int]
+) -> tuple[nn.Module, tuple[int, ...], tuple[str, str]]:
+    """Return the network that has these weights, the shape of its input, and the names of input and output."""
+    if "head.weight" in weights:
+        return DetectorNet(), (1, 3, *side), ("image", "out")
+    if "said.0.weight" in weights:
+        return AttitudeNet(), (1, 1, SIDE_PX, SIDE_PX), ("patches", "nats")
+    return ReaderNet(), (1, 3, PATCH_PX, PATCH_PX), ("patches", "logits")
 
 
 def share_constants(model: onnx.ModelProto) -> None:
