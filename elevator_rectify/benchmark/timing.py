@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class Times:
 def timed(task: tuple[str, bool, int, int, int]) -> Times:
     """Time one draw: (method, with a picture, detections, seed, number)."""
     method, with_picture, size, seed, number = task
+    _warmed_up()
     config, rng = with_values(Config(), {"method": method}), np.random.default_rng([seed, number, size])
     first, second = _frames(size, rng)
     image = photograph(first, rng, random_taking(rng)) if with_picture else None
@@ -49,6 +51,12 @@ def timed(task: tuple[str, bool, int, int, int]) -> Times:
     fit_panel(second.detections, second.camera, config, previous=fit, image=image)
     end = time.perf_counter()
     return Times(1e3 * (middle - start), 1e3 * (end - middle) if fit.ok else float("nan"), fit.ok)
+
+
+@cache
+def _warmed_up() -> None:
+    """Load what the first fit would, once in every process."""
+    warm_up(Config())
 
 
 def _frames(size: int, rng: np.random.Generator) -> tuple[Scene, Scene]:
@@ -86,7 +94,6 @@ def measurement_line(seed: int, yardstick: float, trials: int = 20) -> str:
 
 def timing_table(method: str, trials: int, seed: int, yardstick: float) -> str:
     """Return the table of times in yardsticks: of fits to boxes, and to boxes and picture."""
-    warm_up(Config())
     by = "compiled with numba" if COMPILED else "NumPy alone"
     head = f"{by:<20}{'N':>4}{'scratch med':>13}{'p95':>7}{'tracked med':>13}{'p95':>7}{'accept':>8}   in yardsticks"
     return "\n".join([head, *(_line(method, p, n, trials, seed, yardstick) for p in (False, True) for n in SIZES)])
