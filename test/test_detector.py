@@ -105,6 +105,11 @@ def test_the_part_of_a_picture_shows_the_same_boxes_as_all_of_it(monkeypatch: py
     sure = part.boxes_px[part.is_button & (part.heat > 0.5)]
     assert len(sure) > 4 and (iou(sure, whole.boxes_px).max(axis=1) > 0.8).all()
     assert detect.boxes_at(wide, centres, sizes, config) is whole
+    # Boxes without a size, or beside the picture, tell no part of it.
+    detect._last_found.clear()
+    assert len(detect.boxes_at(wide, centres, 0.0 * sizes, config).heat) == len(whole.heat)
+    detect._last_found.clear()
+    assert len(detect.boxes_at(wide, centres + 1e5, sizes, config).heat) == len(whole.heat)
 
 
 def test_the_surest_comes_first_and_none_is_below_the_least_score() -> None:

@@ -19,6 +19,7 @@ from elevator_rectify.train.loop import Batch, add_training, train
 from elevator_rectify.train.patches import cut_patch, drawn_patch, font_files, random_text, spoilt_patch
 from elevator_rectify.train.reader import Source, samples_of, weights_of
 
+# Kinds that do not tell how they stand; the side of drawn patches.
 _UNREAD = ("unreadable", "other", "empty")
 _DRAWN_PX = 128
 # Around a box so many times its size are turned with it.
@@ -57,10 +58,10 @@ def _turned(image: Image, box_px: Array, way: int) -> tuple[Image, Array]:
     # About the part's middle.
     corners = (box_px - np.tile(low + high, 2) / 2.0).reshape(2, 2)
     if way >= 4:
-        corners = corners * [-1.0, 1.0]
+        corners = corners * np.array([-1.0, 1.0])
     for _ in range(way % 4):
         # Counterclockwise by a quarter, as np.rot90 does.
-        corners = corners[:, ::-1] * [1.0, -1.0]
+        corners = corners[:, ::-1] * np.array([1.0, -1.0])
     middle = np.array([part.shape[1], part.shape[0]]) / 2.0
     return part, np.concatenate([corners.min(axis=0) + middle, corners.max(axis=0) + middle])
 

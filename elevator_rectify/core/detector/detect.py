@@ -91,7 +91,7 @@ def boxes_at(image: Image, centres_px: Array, sizes_px: Array, config: NetworkCo
     low, high = (centres_px - sizes_px / 2.0).min(axis=0), (centres_px + sizes_px / 2.0).max(axis=0)
     x0, y0, x1, y1 = region = _region(low, high, side, image)
     part = max(x1 - x0, 0) * max(y1 - y0, 0) / (image.shape[0] * image.shape[1])
-    if not 0.0 < part < _MOST_OF_IT:
+    if not (side > 0.0 and 0.0 < part < _MOST_OF_IT):
         return find_boxes(image, config)
     finer = _finer_scale(region, scale, side, image) if scale * side < _SMALL_PX else scale
     return _seen_in(image, region, max(scale, finer))

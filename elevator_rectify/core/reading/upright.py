@@ -16,8 +16,8 @@ from elevator_rectify.core.types import Array, Detection, FitResult, Image
 # Where so many buttons are read upright with this mean probability, they do not lie on their side; else so many are
 # read in every turn.
 _FEW, _READABLE, _SAMPLE = 8, 0.5, 14
-# Of so many buttons, asked in so many parts, the log odds against every other way to stand are enough; the
-# reader is asked whether they are mirrored where those for that are so many. The corners that make a mirror image.
+# Of so many buttons, asked in so many parts, such log odds against every other way to stand are enough; the reader is
+# asked whether they are mirrored where the log odds for that are so high. The corners that make a mirror image.
 _ASKED, _PARTS, _SURELY_NATS, _SUSPECTED_NATS = 16, 4, 8.0, 2.0
 _MIRRORED = [1, 0, 3, 2]
 # Half of the few are enough where they are read better upright than on their head by so many labels: so are four in ten
@@ -45,9 +45,9 @@ def way_up(
 ) -> WayUp:
     """Return which way up the labels of an accepted fit to these detections stand.
 
-    Only the reader's certainty counts, not what it reads; few buttons say nothing. Few panels are wider than high: the
-    others do not lie on their side, but may stand on their head, where a 7 is read as 4; on_head: whether that is
-    asked.
+    A small network is asked first; where it is not sure, the reader: only its certainty counts, not what it reads. Few
+    buttons say nothing. Few panels are wider than high: the others do not lie on their side, but may stand on their
+    head, where a 7 is read as 4; on_head: whether that is asked.
     """
     corners = [c for c in plane_corners_px(fit, camera, detections) if np.isfinite(c).all()]
     sideways = fit.rows <= fit.columns
@@ -60,18 +60,19 @@ def way_up(
     turns = (0, 2) if on_head else (0,)
     sums = {turn: _readable(image, few[::2], turn) for turn in turns}
     lying = sideways and sums[0] <= _READABLE * len(few[::2])
-    if on_head and not lying and sums[0] > sums[2] + _SURELY:
+    if on_head and not (lying or suspected) and sums[0] > sums[2] + _SURELY:
         return WayUp(0, upright=True)
     # Those that were read already are remembered.
     sums = {turn: _readable(image, few, turn) for turn in turns}
-    if suspected and _readable(image, [corners[_MIRRORED] for corners in few], 0) > _more_than(sums[0], few):
+    mirrored = _readable(image, [corners[_MIRRORED] for corners in few], 0) if suspected else 0.0
+    if mirrored > _more_than(sums[0], few):
         return WayUp(mirrored=True)
     if sideways and sums[0] <= _READABLE * len(few):
         few = _spread(corners, _SAMPLE)
         sums = {turn: _readable(image, few, turn) for turn in range(4)}
     best = max(sums, key=lambda turn: sums[turn])
     turned = sums[best] > _more_than(sums[0], few)
-    return WayUp(best if turned else 0, sums[0] > sums.get(2, np.inf) + _MORE)
+    return WayUp(best if turned else 0, sums[0] > max(sums.get(2, np.inf), mirrored) + _MORE)
 
 
 def _more_than(upright: float, asked: list[Array]) -> float:
