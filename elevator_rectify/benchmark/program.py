@@ -173,7 +173,7 @@ def _adversarial(options: argparse.Namespace, figures: Figures, reference_ms: fl
 
 def _times(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the table of times."""
-    print(timing_table(options.methods.split(",")[0], options.times, options.seed, reference_ms))
+    print(timing_table(options.methods.split(",")[0], options.times, options.seed))
 
 
 def _inexact(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
