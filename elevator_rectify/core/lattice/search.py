@@ -187,7 +187,12 @@ def _best_gap(fit: LayoutFit, rays: Array, config: JointConfig) -> Layout | None
     w, flat = np.repeat(fit.inlier, 2) / fit.sigma**2, J.reshape(-1, J.shape[-1])
     normal = information(J, fit.inlier, fit.sigma, config) + 1e-9 * np.eye(J.shape[-1])
     cross = (flat * w[:, None]).T @ Z
-    variance = (Z * w[:, None] * Z).sum(axis=0) - (cross * np.linalg.solve(normal, cross)).sum(axis=0)
+    try:
+        explained = np.linalg.solve(normal, cross)
+    except np.linalg.LinAlgError:
+        # Of a degenerate pose, as curves have, nothing can be told.
+        return None
+    variance = (Z * w[:, None] * Z).sum(axis=0) - (cross * explained).sum(axis=0)
     score = (Z * w[:, None]).T @ error.ravel()
     usable = variance > 1e-3 * (Z * w[:, None] * Z).sum(axis=0)
     gain = np.where(usable, 0.5 * score**2 / np.where(usable, variance, 1.0), 0.0)
