@@ -112,12 +112,12 @@ def _sight(watch: Watch, now: Patches) -> Sight:
 def changed(before: Patches, now: Patches, label: str) -> Array | str:
     """Return the features of what changed of the button of a label, or why nothing can be said."""
     pairs = same_places(before, now)
-    was, then = _chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1])
     of_it = [k for k, (i, _) in enumerate(pairs) if before.labels[i] == label]
     if before.labels.count(label) > 1:
         return f"{label} is read on {before.labels.count(label)} buttons"
     if len(of_it) != 1:
         return f"{label} is hidden" if len(pairs) else ANOTHER
+    was, then = _chosen(before, pairs[:, 0]), _chosen(now, pairs[:, 1])
     found = features(was, then, of_it[0])
     if found is None:
         return "too little is seen around it"

@@ -62,10 +62,10 @@ def second_opinion(image: Image, centres_px: Array, sizes_px: Array, config: Net
 
     Most boxes are confirmed by a look at their part of the picture.
     """
-    around = _opinion(boxes_at(image, centres_px, sizes_px, config), image, centres_px, sizes_px, config)
-    if around.verdict == CONFIRMED:
-        return around
-    return _opinion(find_boxes(image, config), image, centres_px, sizes_px, config)
+    around = boxes_at(image, centres_px, sizes_px, config)
+    said = _opinion(around, image, centres_px, sizes_px, config)
+    found = around if said.verdict == CONFIRMED else find_boxes(image, config)
+    return said if found is around else _opinion(found, image, centres_px, sizes_px, config)
 
 
 def _opinion(found: Boxes, image: Image, centres_px: Array, sizes_px: Array, config: NetworkConfig) -> Opinion:
