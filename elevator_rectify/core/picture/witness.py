@@ -43,8 +43,11 @@ _SOME, _NONE_SHARE = 4, 0.1
 # gradients in and around it are below that share of the picture's.
 _SHARP, _EMPTY_SHARE, _EMPTY = 25.0, 0.18, 0.6
 # Below this, at the detector's scale, a picture is too blurred or dark to say that buttons are elsewhere (137 real
-# pictures have 15.6 and more, blurred by 8 px they have 9.2 at most).
+# pictures have 15.6 and more, blurred by 8 px they have 9.2 at most), unless hardly a box is seen and so many sure
+# buttons have none: at least, and over the number of boxes (with true boxes 99 real panels that are blurred by 2 to 8
+# px or darkened to .3 or .12 have .29 at most).
 _DIM = 12.0
+_DIM_ELSEWHERE, _DIM_ELSEWHERE_SHARE = 4, 0.35
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,8 @@ def _opinion(found: Boxes, image: Image, centres_px: Array, sizes_px: Array, con
         return Opinion(CONTRADICTED, displaced)
     if seen.mean() >= _CONFIRMED_SHARE:
         return Opinion(CONFIRMED, said, _nearest(things, centres_px, seen))
-    if _sharpness(_gradient(_reduced(image, config.detector_side_px))) < _DIM:
+    dim = _sharpness(_gradient(_reduced(image, config.detector_side_px))) < _DIM
+    if dim and not _all_elsewhere(found, centres_px, float(seen.mean())):
         return Opinion(UNSEEN, f"{said}, which is blurred or dark")
     other = _seen_elsewhere(found, centres_px, float(seen.mean())) or _ill_placed(things, centres_px, shift)
     if other:
@@ -109,6 +113,13 @@ def _seen_elsewhere(found: Boxes, centres_px: Array, share: float) -> str:
     if elsewhere < (_ELSEWHERE if hardly else max(_ELSEWHERE, _ELSEWHERE_SHARE * len(centres_px))):
         return ""
     return f"{share:.0%} of the boxes are where the picture shows buttons, {elsewhere} buttons are elsewhere"
+
+
+def _all_elsewhere(found: Boxes, centres_px: Array, share: float) -> bool:
+    """Tell whether even a dim picture shows the panel elsewhere; share: of the boxes, seen."""
+    sure = found.boxes_px[found.is_button & (found.heat > _SURE_HEAT)]
+    least = max(_DIM_ELSEWHERE, _DIM_ELSEWHERE_SHARE * len(centres_px))
+    return share < _HARDLY_SEEN and _elsewhere(sure, centres_px) >= least
 
 
 def _ill_placed(things: Array, centres_px: Array, shift: Array) -> str:
