@@ -175,3 +175,24 @@ def test_the_docking_pose_needs_no_other_rotation_than_the_docking_servers_own()
     np.testing.assert_allclose([at.x, at.y, at.z], middle, atol=1e-9)
     unscaled, _ = answer_frame(frame(2), Config())
     assert not [topic for topic, _ in output_messages(unscaled, make_ros) if topic == "docking_pose"]
+
+
+def test_the_panel_frame_stays_while_a_column_comes_into_view_and_the_status_says_since_when() -> None:
+    config = Config(scale=ScaleConfig(column_pitch_m=0.045))
+    panel, track, origins, since = scene(4, 6, 3, tilt_deg=20.0), None, [], []
+    columns = np.array([panel.panel.buttons[k].column for k in panel.button])
+    for tenth, hidden in ((1, 0), (2, -1), (3, -1), (90, -1)):
+        stamp = tenth * 100_000_000
+        centres = panel.centres_px[columns != hidden]
+        given = Frame(image(stamp), camera_info(stamp), detections(stamp, centres))
+        answer, track = answer_frame(given, config, (), NodeConfig(measure=False), track)
+        assert answer.fit.ok and answer.fit.columns == (3 if hidden < 0 else 2)
+        (pose,) = [m for topic, m in output_messages(answer, make_ros) if topic == "panel_pose"]
+        at = pose.pose.pose.position
+        origins.append([at.x, at.y, at.z])
+        since.append(status(answer)["panel_frame_since"])
+    # Noise-free: what is left is the fit's own tolerance.
+    assert np.abs(np.array(origins[:3]) - origins[0]).max() < 1e-3
+    # After a gap it begins anew, at the first column.
+    assert 0.04 < np.linalg.norm(np.subtract(origins[3], origins[0])) < 0.06
+    assert since == ["0.100000000"] * 3 + ["9.000000000"]

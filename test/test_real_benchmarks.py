@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elevator_rectify.benchmark import attitude, rapidocr, reliability, turned_reading
+from elevator_rectify.benchmark import attitude, lit, rapidocr, reliability, turned_reading
 from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.core import Detection
+from elevator_rectify.core.lamps.lit import lit_probability
 from elevator_rectify.core.reading.attitude import put
 from elevator_rectify.core.types import Image
+from elevator_rectify.train.labelled import read_labelled
+from elevator_rectify.train.lit_marks import read_marks
 
 LABELLED = Path(__file__).parent.parent.parent / "shared" / "data" / "labelled"
 CORNERS = np.array([[10.0, 10], [50, 10], [50, 50], [10, 50]])
@@ -92,3 +95,19 @@ def test_a_box_is_put_as_its_picture_is(way: int) -> None:
 def test_a_real_panel_is_told_to_stand_upright_only_as_it_is() -> None:
     said = attitude.run_panel((str(LABELLED), "1075"))
     assert said.pop("as it is") == "upright" and "upright" not in said.values()
+
+
+@pytest.mark.skipif(not LABELLED.exists(), reason="the real panels' folder is not beside the checkout")
+def test_the_lit_lamp_of_a_real_panel_is_the_likeliest() -> None:
+    told = lit.told((str(LABELLED), "1355"))
+    assert told is not None and told.lit.sum() == 1
+    assert int(np.nanargmax(lit_probability(told.odds, told.labels))) == int(np.argmax(told.lit))
+
+
+@pytest.mark.skipif(not LABELLED.exists(), reason="the real panels' folder is not beside the checkout")
+def test_lamps_are_marked_on_buttons_that_are_there() -> None:
+    marks = read_marks()
+    for picture in read_labelled(LABELLED, names=tuple(marks)):
+        marked = marks[picture.name].lit | marks[picture.name].unsure
+        assert max(marked, default=-1) < picture.is_button.sum()
+        assert not marks[picture.name].lit & marks[picture.name].unsure

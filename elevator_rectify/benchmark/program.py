@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 
 from elevator_rectify.benchmark.adversarial import adversarial_table
+from elevator_rectify.benchmark.approach import approach_table
 from elevator_rectify.benchmark.attitude import attitude_table
 from elevator_rectify.benchmark.buttons import buttons_table
 from elevator_rectify.benchmark.detector import detector_table
@@ -18,6 +19,7 @@ from elevator_rectify.benchmark.inexact import inexact_table
 from elevator_rectify.benchmark.known import known_table
 from elevator_rectify.benchmark.known_rendered import known_rendered_table
 from elevator_rectify.benchmark.lamps import lamps_table
+from elevator_rectify.benchmark.lit import lit_table
 from elevator_rectify.benchmark.pictures import picture_table, spoilt_table
 from elevator_rectify.benchmark.reader import reader_table
 from elevator_rectify.benchmark.real import mixed, photographs
@@ -44,6 +46,7 @@ _LABELLED = {
     "reliability": "confidence and covariance of fits to parts of panels",
     "end-to-end": "from the picture alone to the button, beside true boxes",
     "known": "panels taught from one picture, sought in other views",
+    "lit": "which lamps are told to be lit by a single picture",
     "lamps": "whether a press is confirmed, lamps painted over pictures",
 }
 _FIXED_LEVELS = ["easy", "medium", "hard"]
@@ -72,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         "--sequences", type=int, default=0, metavar="N", help="tracking, on N camera paths of each kind"
     )
     parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
+    parser.add_argument("--approaches", type=int, default=0, metavar="N", help="the aim while N fingers come and press")
     parser.add_argument("--taught", type=int, default=0, metavar="N", help="N rendered panels a level, taught before")
     parser.add_argument("--calibration", type=int, default=0, metavar="N", help="the camera, by each of N panels")
     parser.add_argument(
@@ -104,6 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
+    tables = _approaches if options.approaches else tables
     tables = _times if options.times else tables
     tables = _inexact if options.inexact else tables
     tables = _taught if options.taught or options.calibration else tables
@@ -189,6 +194,11 @@ def _taught(options: argparse.Namespace, figures: Figures, reference_ms: float) 
         print(self_calibration_table(options.calibration, options.seed, figures))
 
 
+def _approaches(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
+    """Print the table of aims."""
+    print(approach_table(options.approaches, options.seed, figures))
+
+
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the tables of our own detector and reader."""
     of_part = {
@@ -199,6 +209,7 @@ def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float
         "reliability": reliability_table,
         "end_to_end": end_to_end_table,
         "known": known_table,
+        "lit": lit_table,
         "lamps": lamps_table,
     }
     for name, table in of_part.items():

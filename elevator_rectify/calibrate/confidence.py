@@ -17,7 +17,7 @@ from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.parts_of_panels import as_stated
 from elevator_rectify.benchmark.pictures import SPOILT, Pictured, few_pictured, pictured
 from elevator_rectify.benchmark.synthetic import CHI2_3, RIGHT_CELLS, judged
-from elevator_rectify.calibrate import filled, lamps, networks
+from elevator_rectify.calibrate import filled, lamps, lit, networks
 from elevator_rectify.calibrate.logistic import logistic_regression
 from elevator_rectify.calibrate.real_pictures import names_of, real_examples, searched
 from elevator_rectify.core import confidence
@@ -48,10 +48,12 @@ _RIGHT_OUTLINE_DEG = 4.0
 _FEW = tuple(f"{shape} {number}" for shape in ("round", "square") for number in range(1, 6))
 _CONFIG = Config()
 # What else is refitted on labelled pictures, by argument.
-_REFITTED: dict[str, Callable[[Path], None]] = {
-    "detector": networks.calibrate_detector,
-    "reader": networks.calibrate_reader,
-    "lamps": lamps.calibrate_lamps,
+_REFITTED: dict[str, tuple[Callable[[Path], None], str]] = {
+    "detector": (networks.calibrate_detector, "the scores of our own detector"),
+    "reader": (networks.calibrate_reader, "the scores of our own reader"),
+    "lamps": (lamps.calibrate_lamps, "that a lamp went on"),
+    "lit-examples": (lit.write_examples, "write lit_examples.npz, which train.lit learns from"),
+    "lit": (lit.calibrate_lit, "that a lamp is lit"),
 }
 
 
@@ -184,14 +186,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--outlines", action="store_true", help="the confidence of fits to the outlines of few buttons")
     parser.add_argument("--buttons", action="store_true", help="which empty cells hold a missed button (real panels)")
-    for name in _REFITTED:
-        parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"the scores of {name}")
+    for name, (_, what) in _REFITTED.items():
+        parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=what)
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of real panels, with --buttons")
     parser.add_argument("--labelled", type=Path, help="real pictures: their fits count as much as the rendered ones'")
     options = parser.parse_args(arguments)
-    given = {name: getattr(options, name) for name in _REFITTED if getattr(options, name) is not None}
+    given = {name: getattr(options, name.replace("-", "_")) for name in _REFITTED}
+    given = {name: folder for name, folder in given.items() if folder is not None}
     for name, folder in given.items():
-        _REFITTED[name](folder)
+        _REFITTED[name][0](folder)
     if given:
         return 0
     if options.buttons:

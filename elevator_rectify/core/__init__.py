@@ -24,6 +24,7 @@ from elevator_rectify.core.config import (
 from elevator_rectify.core.detector.detect import detect_buttons
 from elevator_rectify.core.find import find_panel
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.lamps.lit import lamps_of, with_lit
 from elevator_rectify.core.pipeline import fit_panel, fit_panels
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.target import find_button
@@ -61,5 +62,7 @@ __all__ = [
     "find_panel",
     "fit_panel",
     "fit_panels",
+    "lamps_of",
     "rectify_image",
+    "with_lit",
 ]

@@ -292,6 +292,7 @@ class TargetConfig(Checked):
         high=1.0,
     )
     standoff_m: float = value(0.1, "distance of the approach pose from the button", low=0.0, high=2.0)
+    refuse_lit: bool = value(False, "a button whose lamp is surely lit is not given: it was pressed before")
 
 
 @dataclass(frozen=True)

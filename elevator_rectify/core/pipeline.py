@@ -12,6 +12,7 @@ from elevator_rectify.core.config import Config
 from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.common_errors import with_common_errors
+from elevator_rectify.core.geometry.same_places import stayed
 from elevator_rectify.core.known.file import known_panel
 from elevator_rectify.core.known.fit import fit_known
 from elevator_rectify.core.lattice.marks import MARK, marks_as_before, second_lines
@@ -19,7 +20,6 @@ from elevator_rectify.core.left_out import undoubted
 from elevator_rectify.core.outline.result import few_fit
 from elevator_rectify.core.paper.rounds import fit_paper
 from elevator_rectify.core.picture.witness import contradicted, second_opinion
-from elevator_rectify.core.reading.carried import stayed
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.reader import no_buttons
 from elevator_rectify.core.reading.upright import way_up

@@ -9,6 +9,8 @@ import numpy as np
 
 from elevator_rectify.core.config import SmoothingConfig
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.geometry.panel_frame import PanelFrame
+from elevator_rectify.core.lamps.lit import Lit
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.reading.hidden import SeenLabels, seen_labels
 from elevator_rectify.core.types import Array, FitResult, FitT
@@ -24,7 +26,7 @@ _REMEMBERED_NS = 30_000_000_000
 class Track:
     """The last accepted fit as measured; its smoothed pose and shape (S,), with their covariance (6 + S, 6 + S); the
     image's stamp. read: the last fit with labels, and the stamp of the image that they were read in; seen: the labels
-    that were surely read on this panel."""
+    that were surely read on this panel; lit: which lamps were lit then; panel_frame: where its frame is."""
 
     fit: FitResult
     R: Array
@@ -35,14 +37,18 @@ class Track:
     read: FitResult | None = None
     read_ns: int = 0
     seen: SeenLabels | None = None
+    lit: Lit | None = None
+    panel_frame: PanelFrame | None = None
 
 
-def with_read(track: Track, fit: GridFit, stamp_ns: int, before: Track | None, anew: bool) -> Track:
-    """Return the track with a fit with labels; anew: whether they were read in this very frame."""
+def with_read(
+    track: Track, fit: GridFit, stamp_ns: int, before: Track | None, anew: bool, lit: Lit | None = None
+) -> Track:
+    """Return the track with a fit with labels; anew: whether they were read in this very frame; lit: the last lamps."""
     young = before is not None and 0 <= stamp_ns - before.read_ns < _REMEMBERED_NS
     seen = seen_labels(fit, before.seen if before is not None and young else None)
     read_ns = stamp_ns if anew or before is None else before.read_ns
-    return replace(track, read=fit, read_ns=read_ns, seen=seen)
+    return replace(track, read=fit, read_ns=read_ns, seen=seen, lit=lit)
 
 
 def recently_read(track: Track | None, stamp_ns: int, seconds: float) -> FitResult | None:

@@ -46,7 +46,8 @@ class Button:
     towards the camera; size: its width and height. Lengths are in the fit's unit. label: what it means (`canonical`),
     label_source: 'read', 'corrected' (another one was read), 'inferred' (none was), 'taught' or '' (no label);
     label_probability: that it is right; read: as the detector wrote it, score: the detector's, detection: index into
-    the input, -1 for none.
+    the input, -1 for none. lit: whether its lamp is lit, 'yes', 'no' or 'unseen' (`lamps.lit`); lit_probability: that
+    it is, NaN where nothing can be said.
     """
 
     block: tuple[int, int]
@@ -66,6 +67,8 @@ class Button:
     probability: float = 1.0
     label_source: str = ""
     label_probability: float = 0.0
+    lit: str = "unseen"
+    lit_probability: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,10 @@ class FitResult:
     def ok(self) -> bool:
         """Tell whether the pose may be used."""
         return self.status == "ok"
+
+    def point_at(self, place: Array) -> Array:
+        """Return the point (3,) in the camera frame of a place (2,) on the panel, in the fit's unit."""
+        return np.asarray(self.R_camera_panel[:, :2] @ place + self.t_camera_panel)
 
 
 # What a stage makes of a result is a result of the same class.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,9 @@ from elevator_rectify.core import (
     TargetConfig,
     find_button,
     find_panel,
+    lamps_of,
     rectify_image,
+    with_lit,
 )
 from elevator_rectify.core.types import Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
@@ -90,10 +93,12 @@ def look(path: Path, options: argparse.Namespace) -> int:
     config = in_pitches() if options.pitch_m is None else Config(scale=ScaleConfig(column_pitch_m=options.pitch_m))
     fit = find_panel(image, camera, config)
     print(f"{path}: focal length {camera.focal_px:.0f} px, {source}")
-    print(described(fit))
+    lit = lamps_of(image, camera, fit, fit.buttons) if fit.ok else None
+    buttons = with_lit(fit.buttons, fit, lit)
+    print(described(fit, buttons))
     target = find_button(fit, options.press, config.target) if options.press else None
     button = target.button if target is not None else None
-    write_pictures(path, image, camera, fit, options.output, button)
+    write_pictures(path, image, camera, fit, options.output, button, buttons)
     if target is None:
         return 0 if fit.ok else 1
     if button is None:
@@ -101,9 +106,10 @@ def look(path: Path, options: argparse.Namespace) -> int:
         return 1
     unit = "column pitches" if options.pitch_m is None else "m"
     at, normal = (", ".join(f"{v:.3f}" for v in vector) for vector in (button.point, button.normal))
+    lamp = {"yes": ", its lamp is lit", "no": ", its lamp is dark"}.get(with_lit((button,), fit, lit)[0].lit, "")
     print(
         f"{options.press}: at ({at}) {unit} in the camera frame, its normal ({normal}), in the picture at "
-        f"({button.image_px[0]:.0f}, {button.image_px[1]:.0f}); probability {button.label_probability:.3f}"
+        f"({button.image_px[0]:.0f}, {button.image_px[1]:.0f}); probability {button.label_probability:.3f}{lamp}"
     )
     return 0
 
@@ -115,25 +121,33 @@ def in_pitches() -> Config:
     )
 
 
-def described(fit: GridFit) -> str:
-    """Return what was found, as text."""
+def described(fit: GridFit, buttons: Sequence[Button]) -> str:
+    """Return what was found, as text; buttons: the fit's, with their lamps."""
     if not fit.ok:
         return f"{len(fit.detections)} buttons found, no pose: {fit.status}: {fit.reason}"
     tilt = np.rad2deg(np.arccos(np.clip(fit.R_camera_panel[2, 2], -1.0, 1.0)))
     head = f"{len(fit.detections)} buttons found, seen from {tilt:.0f} degrees, confidence {fit.confidence:.2f}"
-    return f"{head}\n\n{text_grid(fit.buttons)}\n\n{LEGEND}"
+    return f"{head}\n\n{text_grid(buttons)}\n\n{LEGEND}"
 
 
-def write_pictures(path: Path, image: Image, camera: Camera, fit: GridFit, folder: Path, target: Button | None) -> None:
+def write_pictures(
+    path: Path,
+    image: Image,
+    camera: Camera,
+    fit: GridFit,
+    folder: Path,
+    target: Button | None,
+    buttons: Sequence[Button],
+) -> None:
     """Write the overlay, and the rectified view where there is a pose."""
     folder.mkdir(parents=True, exist_ok=True)
     centres = np.array([[d.x_px, d.y_px] for d in fit.detections]).reshape(-1, 2)
     overlay = folder / f"{path.stem}_overlay.jpg"
-    cv2.imwrite(str(overlay), draw_overlay(image, centres, fit, target, fit.buttons))
+    cv2.imwrite(str(overlay), draw_overlay(image, centres, fit, target, buttons))
     written = [overlay]
     if fit.ok:
         view = rectify_image(image, camera, fit)
-        for name, picture in (("rectified", view.image), ("read", draw_rectified(view, fit.buttons, target))):
+        for name, picture in (("rectified", view.image), ("read", draw_rectified(view, buttons, target))):
             written.append(folder / f"{path.stem}_{name}.jpg")
             cv2.imwrite(str(written[-1]), picture)
     print("pictures: " + ", ".join(str(p) for p in written))

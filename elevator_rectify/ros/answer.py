@@ -13,7 +13,9 @@ import numpy as np
 from elevator_rectify.core.config import Config, LabelsConfig
 from elevator_rectify.core.detector.follow import Found, find_or_follow
 from elevator_rectify.core.find import of_own_boxes, with_labels
+from elevator_rectify.core.geometry.panel_frame import PanelFrame, began, followed
 from elevator_rectify.core.geometry.scale import with_scale
+from elevator_rectify.core.lamps.lit import Lit, lit_in, with_lit, with_odds
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.core.pipeline import fit_panel
@@ -62,6 +64,10 @@ class Answer:
     choice: Choice | None = None
     # Labels that were read a little before where nothing is seen now.
     hidden: frozenset[str] = frozenset()
+    # Which lamps are lit, in this frame or in the last one whose labels were read.
+    lit: Lit | None = None
+    # Of an accepted fit.
+    panel_frame: PanelFrame | None = None
     standoff_m: float = 0.0
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     labels: LabelsConfig = field(default_factory=LabelsConfig)
@@ -72,8 +78,18 @@ class Answer:
 
     @cached_property
     def buttons(self) -> tuple[Button, ...]:
-        """Return the panel's places with their labels."""
-        return self.fit.buttons_by(self.labels)
+        """Return the panel's places with their labels and lamps."""
+        return with_lit(self.fit.buttons_by(self.labels), self.fit, self.lit)
+
+    @property
+    def origin(self) -> Array:
+        """Return where on the panel (2,) the published panel frame's origin is."""
+        return np.zeros(2) if self.panel_frame is None else self.panel_frame.origin
+
+    @property
+    def middle(self) -> Array:
+        """Return where on the panel (2,) the middle of the cells is that the panel frame began with."""
+        return np.zeros(2) if self.panel_frame is None else self.panel_frame.middle
 
     def standoff(self, button: Button) -> Array:
         """Return the point (3,) of the approach pose before a button, in the camera frame."""
@@ -125,19 +141,23 @@ def _answered(
     stamp = stamp_ns(frame.image.header)
     fit, scale = _fit(given, config, recent(track, stamp, config.smoothing), node.measure)
     fit = of_own_boxes(fit, config) if given.found is not None else fit
-    before = track
+    before, panel_frame = track, began(fit, stamp) if fit.ok else None
     if node.track:
         track, fit = smoothed(track, fit, given.camera, stamp, config.smoothing)
+        track, panel_frame = _followed(before, track, fit, stamp, config)
     watch.lap("fit")
-    labels_wanted = fit.ok and _labels_wanted(wanted, target)
+    labels_wanted, lit, patches = fit.ok and _labels_wanted(wanted, target), None, None
     if labels_wanted:
         last = None if "reading" in wanted else recently_read(before, stamp, config.network.keyframe_s)
         fit = with_labels(fit, given.image, given.camera, last) if node.read and given.image is not None else fit
-        track = with_read(track, fit, stamp, before, last is None) if track is not None else None
+        if "patches" in wanted or (node.lamps and last is None):
+            patches = _patches(fit, given, config)
+        lit = lit_in(fit, patches) if patches is not None else before.lit if before is not None else None
+        track = with_read(track, fit, stamp, before, last is None, lit) if track is not None else None
         watch.lap("read")
     seen = track.seen if track is not None and labels_wanted else None
     hidden = hidden_labels(seen, fit, given.camera) if seen is not None else frozenset()
-    choice = chosen(fit, target, config, node, frame.detections, hidden) if target else None
+    choice = chosen(fit, target, config, node, frame.detections, hidden, lit) if target else None
     view = None
     if given.image is not None and fit.ok and {"rectified", "rectified_overlay"} & set(wanted):
         view = rectify_image(given.image, given.camera, fit, config.view)
@@ -153,21 +173,41 @@ def _answered(
         target=target,
         choice=choice,
         hidden=hidden,
+        lit=lit,
+        patches=patches,
+        panel_frame=panel_frame,
         standoff_m=config.target.standoff_m,
         stopwatch=watch,
         labels=config.labels,
     )
     if "placement" in wanted and given.image is not None and fit.status == "contradicted":
         answer = replace(answer, placement=placement(given.image, given.detections, config.network))
-    if "patches" in wanted and given.image is not None and fit.ok:
-        answer = replace(answer, patches=patches_of(given.image, given.camera, fit, answer.buttons))
     answer = _with_drawings(answer, given, wanted)
     watch.lap("overlay")
     return answer, track
 
 
+def _followed(
+    before: Track | None, track: Track | None, fit: GridFit, stamp: int, config: Config
+) -> tuple[Track | None, PanelFrame | None]:
+    """Return the new track, and where the panel frame is on an accepted fit's panel, that of the track before."""
+    if not fit.ok or track is None:
+        return track, None
+    young = recent(before, stamp, config.smoothing) is not None
+    last = before.panel_frame if before is not None and young else None
+    panel_frame = followed(last, fit, stamp)
+    return replace(track, panel_frame=panel_frame), panel_frame
+
+
+def _patches(fit: GridFit, given: Inputs, config: Config) -> Patches | None:
+    """Return what an accepted fit's buttons look like in this frame, None without its picture."""
+    if given.image is None or not fit.ok:
+        return None
+    return with_odds(patches_of(given.image, given.camera, fit, fit.buttons_by(config.labels)))
+
+
 def _labels_wanted(wanted: Collection[str], target: str) -> bool:
-    return bool(target or {"labels", "overlay", "rectified_overlay"} & set(wanted))
+    return bool(target or {"labels", "overlay", "rectified_overlay", "patches"} & set(wanted))
 
 
 def _with_found(given: Inputs, frame: Frame, last: Found | None, config: Config) -> Inputs:
@@ -184,16 +224,29 @@ def chosen(
     node: NodeConfig,
     detections: Any,
     hidden: frozenset[str] = frozenset(),
+    lit: Lit | None = None,
 ) -> Choice:
     """Return the button that is asked for; where no label is known, the reason names the parameter that may be it.
 
-    hidden: labels of buttons that were seen a little before.
+    hidden: labels of buttons that were seen a little before. lit: which lamps are lit.
     """
     choice = unless_hidden(find_button(fit, target, config.target), target, hidden)
+    choice = _unless_lit(choice, fit, lit, config.target.refuse_lit)
     settled = node.detections.numbers_are_labels or node.detections.labels
     if choice.status != "unknown_label" or settled or not has_number_ids(detections):
         return choice
     return replace(choice, reason=f"{choice.reason}; {NUMBER_IDS}")
+
+
+def _unless_lit(choice: Choice, fit: GridFit, lit: Lit | None, refuse: bool) -> Choice:
+    """Return the choice with its button's lamp; as 'lit' where a lit one is refused."""
+    if choice.button is None:
+        return choice
+    (button,) = with_lit((choice.button,), fit, lit)
+    if not refuse or button.lit != "yes":
+        return replace(choice, button=button)
+    reason = f"the lamp of {button.label} is lit with probability {button.lit_probability:.3f}"
+    return Choice(None, "lit", f"{reason}, and target.refuse_lit is on")
 
 
 def _with_drawings(answer: Answer, given: Inputs, wanted: Collection[str]) -> Answer:

@@ -10,6 +10,9 @@ from elevator_rectify.core.types import Array, Button
 from elevator_rectify.ros.messages import Make
 from elevator_rectify.ros.poses import message_covariance, pose_of, quaternion
 
+# What a lamp is called in a message, where it can be told.
+_LAMP = {"yes": "lit", "no": "dark"}
+
 
 def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: Make) -> Any:
     """Return one Detection3D per button: pose at its cell or beside the grid, facing into the panel, label and score.
@@ -17,7 +20,8 @@ def buttons_message(fit: GridFit, buttons: Sequence[Button], header: Any, make: 
     id is "row,column", "row,column,inferred" for one without a detection, "beside,N" for detection N beside the grid,
     "beside,LABEL" for a taught button there that was not detected.
     results[0].hypothesis has the button's label as class_id; its score is the detector's where the label is as read,
-    else the label's probability.
+    else the label's probability. Where it can be told, results[1].hypothesis has "lit" or "dark" as class_id, and the
+    probability that the lamp is lit as score.
     """
     found = [_detection(fit, button, header, make) for button in buttons if button.state != "empty"]
     return make("vision_msgs/msg/Detection3DArray", header=header, detections=found)
@@ -28,10 +32,12 @@ def _detection(fit: GridFit, button: Button, header: Any, make: Make) -> Any:
     covariance = button_covariance(fit, button)
     hypothesis = make("vision_msgs/msg/ObjectHypothesis", class_id=button.label, score=_score(button))
     with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
-    result = make("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
+    lamp = make("vision_msgs/msg/ObjectHypothesis", class_id=_LAMP.get(button.lit, ""), score=button.lit_probability)
+    hypotheses = [hypothesis, *([lamp] if button.lit in _LAMP else [])]
+    results = [make("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=h, pose=with_covariance) for h in hypotheses]
     size = make("geometry_msgs/msg/Vector3", x=float(button.size[0]), y=float(button.size[1]), z=0.0)
     box = make("vision_msgs/msg/BoundingBox3D", center=pose, size=size)
-    return make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=_id(button))
+    return make("vision_msgs/msg/Detection3D", header=header, results=results, bbox=box, id=_id(button))
 
 
 def button_covariance(fit: GridFit, button: Button) -> Array:

@@ -58,6 +58,7 @@ class NodeConfig(Checked):
         MAX_MEGAPIXELS, "compressed images that announce more are not decoded", low=1, high=1000
     )
     image_is_rectified: bool = value(False, "the image is rectified: camera_info's P is used instead of K and D")
+    lamps: bool = value(True, "tell which lamps are lit, where buttons are asked for")
     measure: bool = value(True, "measure the buttons in the image: several times as accurate as the boxes alone")
     use_depth: bool = value(False, "subscribe to an aligned depth image for the metric scale")
     publish_tf: bool = value(False, "publish the panel's pose on /tf (needs tf2_msgs)")

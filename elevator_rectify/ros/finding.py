@@ -32,6 +32,7 @@ class Seen:
     look: Look
     pose: Any = None
     standoff: Any = None
+    lit: tuple[str, float] = ("", float("nan"))
 
 
 @dataclass(kw_only=True)
@@ -117,6 +118,7 @@ class FindButton(Goals[FindGoal]):
             seen = goal.seen[answer.chosen]
             result.pose, result.standoff = seen.pose, seen.standoff
             result.label_probability = seen.look.choice.probability
+            result.lit, result.lit_probability = seen.lit
             result.alternatives = [label for label, _ in seen.look.choice.others]
             result.alternative_probabilities = [p for _, p in seen.look.choice.others]
         return result
@@ -134,4 +136,4 @@ def _placed(answer: Answer, choice: Choice, transform: Transform) -> Seen:
     places = [transform.R @ point + transform.t for point in (button.point, answer.standoff(button))]
     poses = [stamped_pose(pose_of(place, turn, make_ros), covariance, header, make_ros) for place in places]
     own = transform.R @ covariance_if_right(fit, button.covariance, button.panel) @ transform.R.T
-    return Seen(Look(choice, places[0], own), *poses)
+    return Seen(Look(choice, places[0], own), poses[0], poses[1], (button.lit, button.lit_probability))

@@ -277,7 +277,7 @@ class ElevatorRectify(Node):
         target = self.config.target
         most = max_lateral_std_m or target.max_lateral_std_m
         config = replace(self.config, target=replace(target, max_lateral_std_m=most))
-        return chosen(answer.fit, label, config, self.node_config, frame.detections, answer.hidden)
+        return chosen(answer.fit, label, config, self.node_config, frame.detections, answer.hidden, answer.lit)
 
     def _publish(self, answer: Answer) -> None:
         """Publish what somebody listens to; the status comes last and includes the time of the others."""
@@ -287,7 +287,7 @@ class ElevatorRectify(Node):
             answer.stopwatch.lap("publish")
         if self._tf is not None and answer.fit.ok and answer.fit.metric:
             frame, header = panel_frame(self, self.node_config.panel_frame), ros_header(answer.header, make_ros)
-            self._tf.publish(tf_message(answer.fit, frame, header, make_ros))
+            self._tf.publish(tf_message(answer, frame, header, make_ros))
 
     def _listened(self, topic: str) -> bool:
         return topic in self._outputs and bool(self._outputs[topic].get_subscription_count())

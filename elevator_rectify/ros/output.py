@@ -61,9 +61,9 @@ def output_messages(answer: Answer, make: Make, listened: Callable[[str], bool] 
         )
     if fit.ok:
         makers["grid_centers"] = lambda: grid_message(fit, header, make)
-        makers["panel_pose"] = lambda: pose_message(fit, header, make)
+        makers["panel_pose"] = lambda: pose_message(answer, header, make)
         if fit.metric:
-            makers["docking_pose"] = lambda: docking_message(fit, header, make)
+            makers["docking_pose"] = lambda: docking_message(answer, header, make)
         makers |= _target_makers(answer, header, make)
         makers["buttons"] = lambda: buttons_message(fit, answer.buttons, header, make)
     for topic, picture in (("overlay", answer.overlay), ("rectified/overlay", answer.rectified_overlay)):
@@ -137,25 +137,27 @@ def grid_message(fit: GridFit, header: Any, make: Make) -> Any:
     return make("geometry_msgs/msg/PoseArray", header=header, poses=poses)
 
 
-def pose_message(fit: GridFit, header: Any, make: Make) -> Any:
+def pose_message(answer: Answer, header: Any, make: Make) -> Any:
     """Return the panel's pose with its covariance; of unknown scale, the translation's is too large for any use."""
-    pose = pose_of(fit.t_camera_panel, quaternion(fit.R_camera_panel), make)
-    return stamped_pose(pose, message_covariance(fit), header, make)
+    fit, origin = answer.fit, answer.origin
+    pose = pose_of(fit.point_at(origin), quaternion(fit.R_camera_panel), make)
+    return stamped_pose(pose, message_covariance(fit, origin if origin.any() else None), header, make)
 
 
-def docking_message(fit: GridFit, header: Any, make: Make) -> Any:
-    """Return the middle of the cells as a PoseStamped with the axes of a tag: x to the right, y up, z out of the panel.
+def docking_message(answer: Answer, header: Any, make: Make) -> Any:
+    """Return the middle of the cells that the panel frame began with, as a PoseStamped with the axes of a tag: x to
+    the right, y up, z out of the panel.
 
     With these axes opennav_docking's `detected_dock_pose` needs no other rotation than its default one.
     """
-    R = fit.R_camera_panel * [1.0, -1.0, -1.0]
-    middle = (fit.grid_points[0, 0] + fit.grid_points[-1, -1]) / 2.0
+    R = answer.fit.R_camera_panel * [1.0, -1.0, -1.0]
+    middle = answer.fit.point_at(answer.middle)
     return make("geometry_msgs/msg/PoseStamped", header=header, pose=pose_of(middle, quaternion(R), make))
 
 
-def tf_message(fit: GridFit, frame: str, header: Any, make: Make) -> Any:
+def tf_message(answer: Answer, frame: str, header: Any, make: Make) -> Any:
     """Return the transform from the camera's optical frame to the panel's, as a tf2_msgs/TFMessage."""
-    t, (x, y, z, w) = fit.t_camera_panel, quaternion(fit.R_camera_panel)
+    t, (x, y, z, w) = answer.fit.point_at(answer.origin), quaternion(answer.fit.R_camera_panel)
     transform = make(
         "geometry_msgs/msg/Transform",
         translation=make("geometry_msgs/msg/Vector3", x=float(t[0]), y=float(t[1]), z=float(t[2])),
@@ -163,6 +165,11 @@ def tf_message(fit: GridFit, frame: str, header: Any, make: Make) -> Any:
     )
     stamped = make("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=frame, transform=transform)
     return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+
+
+def _seconds(stamp_ns: int) -> str:
+    """Return a stamp as seconds."""
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
 
 
 def status_message(answer: Answer, make: Make) -> Any:
@@ -177,6 +184,7 @@ def status_message(answer: Answer, make: Make) -> Any:
         "confidence": f"{fit.confidence:.4f}",
         "unit": "m" if fit.metric else "column pitch",
         "scale": answer.scale,
+        "panel_frame_since": _seconds(answer.panel_frame.since_ns) if answer.panel_frame is not None else "",
         "detections_from": answer.detections_from,
         "calibration": answer.calibration,
         "panel": "" if fit.known is None else fit.known.name,

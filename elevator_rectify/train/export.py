@@ -17,10 +17,12 @@ import torch
 from onnx import TensorProto, numpy_helper
 from torch import Tensor, nn
 
+from elevator_rectify.core.lamps.patches import SIDE
 from elevator_rectify.core.reading.attitude import SIDE_PX
 from elevator_rectify.core.reading.reader import PATCH_PX
 from elevator_rectify.train.attitude_net import AttitudeNet
 from elevator_rectify.train.detector_net import DetectorNet
+from elevator_rectify.train.lit_net import LitNet
 from elevator_rectify.train.reader_net import ReaderNet
 
 
@@ -82,6 +84,8 @@ def _network_of(
         return DetectorNet(), (1, 3, *side), ("image", "out")
     if "said.0.weight" in weights:
         return AttitudeNet(), (1, 1, SIDE_PX, SIDE_PX), ("patches", "nats")
+    if "odds.weight" in weights:
+        return LitNet(), (1, 9, SIDE, SIDE), ("patches", "odds")
     return ReaderNet(), (1, 3, PATCH_PX, PATCH_PX), ("patches", "logits")
 
 

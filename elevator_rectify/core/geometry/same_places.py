@@ -6,10 +6,12 @@ from typing import Protocol
 
 import numpy as np
 
-from elevator_rectify.core.types import Array, IntArray
+from elevator_rectify.core.types import Array, FitResult, IntArray
 
 # Places of two frames are the same within so many pitches; so large a share of the panel must be the same.
 _SAME_PITCH, _SAME_SHARE = 0.3, 0.6
+# A panel that moved by more than this share of a pitch may be seen from another row or column on.
+_STAYED = 0.5
 # Shifts that differ by less, in pitches, pair the same places.
 _SAME_SHIFT = 0.1
 
@@ -71,3 +73,11 @@ def _agreement(before: Labelled, now: Labelled, pairs: IntArray) -> int:
     """Count places that agree, and labels, for and against."""
     labels = [(before.labels[i], now.labels[j]) for i, j in pairs]
     return len(pairs) + sum(2 if a == b else -2 for a, b in labels if a and b)
+
+
+def stayed(fit: FitResult, last: FitResult) -> bool:
+    """Tell whether two accepted fits show the same cells of the same panel, one just after the other."""
+    if not (fit.ok and last.ok) or fit.metric != last.metric or (fit.rows, fit.columns) != (last.rows, last.columns):
+        return False
+    moved = float(np.linalg.norm(fit.t_camera_panel - last.t_camera_panel))
+    return moved < _STAYED * float(fit.pitch.min())

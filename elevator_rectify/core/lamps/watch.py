@@ -126,7 +126,9 @@ def changed(before: Patches, now: Patches, label: str) -> Array | str:
 
 def _chosen(patches: Patches, which: IntArray) -> Patches:
     labels = tuple(patches.labels[k] for k in which)
-    return Patches(patches.colour[which], patches.places[which], labels, patches.side_px[which], patches.whole[which])
+    odds = patches.lit_odds[which] if len(patches.lit_odds) else patches.lit_odds
+    seen = patches.colour[which], patches.places[which], labels, patches.side_px[which], patches.whole[which]
+    return Patches(*seen, odds)
 
 
 def confirmed(watch: Watch) -> Pressed | None:

@@ -7,21 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from elevator_rectify.core.geometry.pose import on_plane
-from elevator_rectify.core.geometry.same_places import mutually_nearest
+from elevator_rectify.core.geometry.same_places import mutually_nearest, stayed
 from elevator_rectify.core.types import Array, Detection, FitResult
 
-# A panel that moved by more than this share of a pitch may be seen from another row or column on.
-_STAYED = 0.5
 # Detections this near to each other on the panel, in pitches, are of one button.
 _SAME_PLACE = 0.25
-
-
-def stayed(fit: FitResult, last: FitResult) -> bool:
-    """Tell whether two accepted fits show the same cells of the same panel, one just after the other."""
-    if not (fit.ok and last.ok) or fit.metric != last.metric or (fit.rows, fit.columns) != (last.rows, last.columns):
-        return False
-    moved = float(np.linalg.norm(fit.t_camera_panel - last.t_camera_panel))
-    return moved < _STAYED * float(fit.pitch.min())
 
 
 def same_buttons(fit: FitResult, last: FitResult) -> dict[int, int]:

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import jacobians_px, on_plane
-from elevator_rectify.core.reading.carried import as_before, stayed
+from elevator_rectify.core.geometry.same_places import stayed
+from elevator_rectify.core.reading.carried import as_before
 from elevator_rectify.core.reading.vocabulary import BLANK, CHARACTERS, KINDS, SLOTS, SYMBOLS
 from elevator_rectify.core.types import Array, Detection, FitResult, FitT, Image
 

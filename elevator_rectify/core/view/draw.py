@@ -12,6 +12,7 @@ from elevator_rectify.core.types import Array, Button, FitResult, Image
 from elevator_rectify.core.view.warp import Rectification
 
 GREEN, RED, AMBER, BLACK, WHITE = (60, 220, 60), (50, 50, 235), (40, 170, 250), (0, 0, 0), (255, 255, 255)
+YELLOW = (60, 250, 250)
 
 
 def as_colour(image: Image) -> Image:
@@ -25,7 +26,8 @@ def draw_overlay(
     """Return the image with detections as green diamonds, grid centres as red crosses, and the status in a line.
 
     target: the button that is to be pressed, drawn as a circle with its label. buttons: their labels are written,
-    corrected and inferred ones in amber; around buttons without detection there is a dashed circle.
+    corrected and inferred ones in amber; around buttons without detection there is a dashed circle, and around those
+    whose lamp is lit a yellow one.
     """
     canvas = as_colour(image)
     size, thickness = _stroke(canvas)
@@ -71,13 +73,15 @@ def _draw_buttons(canvas: Image, buttons: Sequence[Button], target: Button | Non
 
 
 def _draw_button(canvas: Image, button: Button, size: int, thickness: int) -> None:
-    """Write a button's label beside it; dash a circle around one that was not detected."""
+    """Write a button's label beside it; draw a circle around a lit one, dash it around one that was not detected."""
     if button.state == "empty":
         return
     for x, y in _drawable(button.image_px[None]):
         if button.state == "inferred":
             for start in range(0, 360, 45):
                 cv2.ellipse(canvas, (x, y), (size, size), 0, start, start + 25, AMBER, thickness, cv2.LINE_AA)
+        if button.lit == "yes":
+            cv2.circle(canvas, (x, y), size, YELLOW, thickness, cv2.LINE_AA)
         colour = WHITE if button.label_source in ("read", "taught") else AMBER
         at = (x + size // 2, y - size // 2)
         outlined_text(canvas, _ascii(button), at, size / 28.0, colour)

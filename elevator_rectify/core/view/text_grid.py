@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from elevator_rectify.core.types import Button
 
-LEGEND = "7 read, 7! corrected, 7? inferred where none was read, (7) inferred button, _ no label, . empty"
+LEGEND = "7 read, 7! corrected, 7? inferred where none was read, (7) inferred button, _ no label, . empty, 7+ lit"
 
 
 def cell_text(button: Button) -> str:
@@ -15,7 +15,8 @@ def cell_text(button: Button) -> str:
         return "."
     mark = {"corrected": "!", "inferred": "?"}.get(button.label_source, "")
     name = button.label or "_"
-    return f"({name})" if button.state == "inferred" else name + mark
+    lit = "+" if button.lit == "yes" else ""
+    return f"({name})" if button.state == "inferred" else name + mark + lit
 
 
 def text_grid(buttons: Sequence[Button]) -> str:
