@@ -25,6 +25,7 @@ LONG = (
     "benchmark",
     "few",
     "finding",
+    "in_the_way",
     "joint",
     "lifecycle",
     "live",

@@ -17,7 +17,7 @@ from elevator_rectify.core.lamps.watch import JUDGED, Watch, confirmed, ended, w
 from elevator_rectify.core.types import Array, BoolArray
 from elevator_rectify.train.labelled import read_labelled
 
-_STATUSES = ("confirmed", "not_lit", "blinks", "unseen", "panel_left")
+_STATUSES = ("confirmed", "not_lit", "blinks", "all_lit", "unseen", "panel_left")
 # Presses of every kind on each panel.
 _PRESSES = 2
 _SIZES_PX = (0.0, 14.0, 20.0, 30.0, np.inf)

@@ -15,6 +15,7 @@ from elevator_rectify.benchmark.detector import detector_table
 from elevator_rectify.benchmark.end_to_end import end_to_end_table
 from elevator_rectify.benchmark.few import few_table
 from elevator_rectify.benchmark.figures import Figures, comparison, read_figures
+from elevator_rectify.benchmark.hands import hands_table
 from elevator_rectify.benchmark.inexact import inexact_table
 from elevator_rectify.benchmark.known import known_table
 from elevator_rectify.benchmark.known_rendered import known_rendered_table
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--adversarial", type=int, default=0, metavar="SETS", help="detections that lie, SETS in all")
     parser.add_argument("--approaches", type=int, default=0, metavar="N", help="the aim while N fingers come and press")
+    parser.add_argument("--hands", type=int, default=0, metavar="N", help="a hand before a third of N rendered panels")
     parser.add_argument("--taught", type=int, default=0, metavar="N", help="N rendered panels a level, taught before")
     parser.add_argument("--calibration", type=int, default=0, metavar="N", help="the camera, by each of N panels")
     parser.add_argument(
@@ -108,7 +110,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _fixed if options.fixed else _buttons if options.buttons else _pictures if options.pictures else _boxes
     tables = _labelled if any(getattr(options, name.replace("-", "_")) for name in _LABELLED) else tables
     tables = _sequences if options.sequences else _adversarial if options.adversarial else tables
-    tables = _approaches if options.approaches else tables
+    tables = _approaches if options.approaches or options.hands else tables
     tables = _times if options.times else tables
     tables = _inexact if options.inexact else tables
     tables = _taught if options.taught or options.calibration else tables
@@ -195,8 +197,11 @@ def _taught(options: argparse.Namespace, figures: Figures, reference_ms: float) 
 
 
 def _approaches(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
-    """Print the table of aims."""
-    print(approach_table(options.approaches, options.seed, figures))
+    """Print the tables of what comes before the camera."""
+    if options.approaches:
+        print(approach_table(options.approaches, options.seed, figures))
+    if options.hands:
+        print("\n" + hands_table(options.hands, options.seed, figures))
 
 
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
