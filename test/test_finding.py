@@ -223,7 +223,8 @@ def test_a_rendered_press_is_confirmed_and_a_broken_lamp_told(capsys: pytest.Cap
     for arguments, answer in (([], "confirmed"), (["--broken"], "not_lit")):
         # In a graph of its own: the node of the other tests still lives.
         assert press.main(arguments) == 0
-        assert f"confirm_press 7: {answer}" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert "find_button 7: found" in said and "lit: no" in said and f"confirm_press 7: {answer}" in said
 
 
 @pytest.mark.parametrize(("label", "words"), [("7", "press at "), ("99", "unknown_label: no button")])

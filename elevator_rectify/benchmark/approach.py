@@ -1,6 +1,6 @@
 """The aim while an arm goes the last centimetres: its finger comes before the camera and hides the button.
 
-Rendered: the camera goes with the arm, straight towards the button, and is fitted with tracking as the node does it.
+Rendered: the camera rests, or goes with the arm, straight towards the button; fitted with tracking as the node does it.
 The aim is the button's place in the panel frame as the first frame shows it, followed by the later frames' poses.
 """
 
@@ -49,8 +49,11 @@ class Step:
     hidden: bool
 
 
-def frames(seed: int, number: int) -> Iterator[tuple[Scene, Image, Array]]:
-    """Yield scenes, pictures and the place (3,) of the button in the panel; the same arguments give the same."""
+def frames(seed: int, number: int, moves: bool) -> Iterator[tuple[Scene, Image, Array]]:
+    """Yield scenes, pictures and the place (3,) of the button in the panel; the same arguments give the same.
+
+    moves: whether the camera goes with the arm.
+    """
     rng = np.random.default_rng([seed, number, 11])
     camera, panel = paper_camera(), dressed(random_panel(LEVELS[_LEVEL], rng), rng, True, SCATTER_SHARE)
     tilt, axis = float(np.deg2rad(rng.uniform(0.0, 30.0))), float(rng.uniform(0, 2 * np.pi))
@@ -58,7 +61,7 @@ def frames(seed: int, number: int) -> Iterator[tuple[Scene, Image, Array]]:
     target, taking = int(rng.integers(len(panel.buttons))), replace(random_taking(rng), motion_px=0.0)
     for k in range(_RESTING + _MOVING):
         gone = max(0, k - _RESTING + 1) / _MOVING
-        at = t - gone * _WAY_M * R[:, 2]
+        at = t - gone * _WAY_M * R[:, 2] if moves else t
         scene = detected(panel, camera, R, at, DetectorModel(_SIGMA_PX, missed=0.03), rng)
         # What is drawn of panel and wall is the same in all frames.
         image = photograph(scene, np.random.default_rng([seed, number]), taking)
@@ -83,8 +86,8 @@ def _without(scene: Scene, hidden: BoolArray) -> Scene:
     return replace(scene, detections=kept, button=scene.button[~hidden])
 
 
-def run_approach(task: tuple[int, int]) -> list[Step]:
-    """Follow one approach: (seed, number); empty where the first frames are refused."""
+def run_approach(task: tuple[int, int, bool]) -> list[Step]:
+    """Follow one approach: (seed, number, whether the camera moves); empty where the first frames are refused."""
     track: Track | None = None
     held: PanelFrame | None = None
     aim, first, steps = None, np.zeros(3), list[Step]()
@@ -120,26 +123,25 @@ def _off_mm(scene: Scene, fit: GridFit, aim: Array, true: Array) -> Array:
 
 def approach_table(number: int, seed: int, figures: Figures) -> str:
     """Return the table over a number of approaches."""
-    several = parallel(run_approach, [(seed, n) for n in range(number)], "approaches")
-    steps = [step for one in several for step in one]
     lines = [
-        f"approaches {sum(map(bool, several)):<8}{'frames':>8}{'accepted':>10}{'off mm':>8}{'p95':>7}"
+        f"{f'approaches {number}':<32}{'frames':>8}{'accepted':>10}{'off mm':>8}{'p95':>7}"
         f"{'drift mm':>10}{'p95':>7}{'largest':>9}{'within 1 mm':>13}"
     ]
-    for name, chosen in (
-        ("button seen", [s for s in steps if not s.hidden]),
-        ("button hidden", [s for s in steps if s.hidden]),
-    ):
-        lines.append(_line(name, chosen, figures))
+    for moves in (False, True):
+        several = parallel(run_approach, [(seed, n, moves) for n in range(number)], "approaches")
+        camera = "camera moves" if moves else "camera rests"
+        for hidden in (False, True):
+            steps = [step for one in several for step in one if step.hidden == hidden]
+            lines.append(_line(f"{camera}, button {'hidden' if hidden else 'seen'}", steps, figures))
     return "\n".join(lines)
 
 
 def _line(name: str, steps: list[Step], figures: Figures) -> str:
     off, drift = (np.array([getattr(s, field) for s in steps if s.accepted]) for field in ("off_mm", "drift_mm"))
     if not len(drift):
-        return f"{name:<19}{len(steps):>8}{0.0:>10.3f}"
+        return f"{name:<32}{len(steps):>8}{0.0:>10.3f}"
     figures.rate(f"approach, {name}, drift of the aim within 1 mm+", drift <= 1.0)
     return (
-        f"{name:<19}{len(steps):>8}{len(drift) / len(steps):>10.3f}{np.median(off):>8.2f}{np.quantile(off, 0.95):>7.2f}"
+        f"{name:<32}{len(steps):>8}{len(drift) / len(steps):>10.3f}{np.median(off):>8.2f}{np.quantile(off, 0.95):>7.2f}"
         f"{np.median(drift):>10.2f}{np.quantile(drift, 0.95):>7.2f}{drift.max():>9.2f}{(drift <= 1.0).mean():>13.3f}"
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from elevator_rectify.core.config import Config
 from elevator_rectify.core.geometry.camera import Camera
+from elevator_rectify.core.lamps.lit import lamps_of
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.types import Detection, Image
 
@@ -28,10 +29,12 @@ def warm_up(config: Config, with_picture: bool = True) -> None:
     for image in (None, _drawn(detections)) if with_picture else (None,):
         fit = fit_panel(detections, camera, config, image=image)
         fit_panel(detections, camera, config, previous=fit, image=image)
+        if image is not None and fit.ok:
+            lamps_of(image, camera, fit, fit.buttons)
 
 
 def _drawn(detections: list[Detection]) -> Image:
     picture = np.full((320, 320, 3), 90, np.uint8)
     for button in detections:
-        cv2.circle(picture, (round(button.x_px), round(button.y_px)), round(_BUTTON_PX / 2.0), (200, 200, 200), -1)
+        cv2.circle(picture, (round(button.x_px), round(button.y_px)), round(_BUTTON_PX / 2.0), (180, 200, 200), -1)
     return picture

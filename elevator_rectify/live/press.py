@@ -155,7 +155,8 @@ def main(arguments: list[str] | None = None) -> int:
         driver.close()
     if options.strip is not None:
         cv2.imwrite(str(options.strip), strip(robot.shown))
-    print(f"find_button {options.label}: {found.status} after {found.frames} frames {found.reason}".rstrip())
+    lamp = f"lit: {found.lit} ({found.lit_probability:.3f})" if found.status == "found" else found.reason
+    print(f"find_button {options.label}: {found.status} after {found.frames} frames, {lamp}")
     if pressed is None:
         return 1
     print(f"confirm_press {options.label}: {pressed.status}, probability {pressed.probability:.3f}, {pressed.reason}")

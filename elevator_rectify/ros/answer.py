@@ -152,7 +152,8 @@ def _answered(
         fit = with_labels(fit, given.image, given.camera, last) if node.read and given.image is not None else fit
         if "patches" in wanted or (node.lamps and last is None):
             patches = _patches(fit, given, config)
-        lit = lit_in(fit, patches) if patches is not None else before.lit if before is not None else None
+        lit = before.lit if before is not None else None
+        lit = lit_in(fit, patches) if node.lamps and patches is not None else lit
         track = with_read(track, fit, stamp, before, last is None, lit) if track is not None else None
         watch.lap("read")
     seen = track.seen if track is not None and labels_wanted else None
