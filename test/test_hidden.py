@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import cv2
+import numpy as np
 import pytest
 
 from elevator_rectify.benchmark.pictures import Pictured, pictured
 from elevator_rectify.core import Config, GridFit, ScaleConfig, TargetConfig, find_button, fit_panel
-from elevator_rectify.core.reading.hidden import SeenLabels, hidden_labels, seen_labels, unless_hidden
+from elevator_rectify.core.reading.hidden import SeenLabels, hidden_labels, respaced, seen_labels, unless_hidden
 from elevator_rectify.core.track import Track
 from elevator_rectify.ros.answer import Answer, answer_frame
 from elevator_rectify.ros.pairing import Frame
@@ -61,6 +62,17 @@ def test_of_another_panel_nothing_is_hidden() -> None:
     assert set(seen_labels(fit_of(), other).labels) == set(LABELS)
 
 
+def test_a_lattice_without_its_middle_column_is_told_by_the_labels_distances() -> None:
+    """Its columns are two pitches apart: with a known pitch the panel would be at half its distance."""
+    whole, sides = fit_of(), fit_of(*LABELS[1::3])
+    assert sides.ok and sides.columns == 2 and sides.t_camera_panel[2] < 0.6 * whole.t_camera_panel[2]
+    assert "0.50 times as many pitches apart" in respaced(seen_labels(whole), sides)
+    for right in (fit_of(*LABELS[0::3]), fit_of(*LABELS[:3]), fit_of(LABELS[7]), whole):
+        assert right.ok and not respaced(seen_labels(whole), right)
+    # What shows more of the panel than before is believed.
+    assert not respaced(seen_labels(sides), whole)
+
+
 def test_what_left_the_picture_is_not_hidden() -> None:
     now = fit_of(LABELS[0])
     seen = seen_labels(now, seen_labels(fit_of()))
@@ -93,3 +105,23 @@ def test_a_hand_before_the_button_makes_it_occluded_until_it_goes(number: int) -
     # A track that is old remembers nothing.
     late, _ = answered(given, 1000, label, number, track)
     assert late.choice is not None and late.choice.status != "occluded" and late.choice.button is None
+
+
+def test_an_arm_before_the_middle_column_leaves_the_panel_at_its_distance() -> None:
+    """The frame before is too old to start from; the labels are remembered."""
+    given, track, answers = pictured("easy", 60, 9, held_out=True), None, []
+    middle = [given.scene.pixels[k] for k, b in enumerate(given.scene.panel.buttons) if b.column == 1]
+    width = int(0.8 * np.linalg.norm(given.scene.pixels[1] - given.scene.pixels[0]))
+    way = (middle[-1] - middle[0]) / np.linalg.norm(middle[-1] - middle[0])
+    ends = [tuple(int(v) for v in at) for at in (middle[0] - 60.0 * way, middle[-1] + 400.0 * way)]
+    for tenths, hidden in ((1, False), (60, True), (120, False)):
+        stamp, shown = 100_000_000 * tenths, given.image.copy()
+        if hidden:
+            cv2.line(shown, *ends, (120, 150, 200), width)
+        frame = Frame(image(stamp, shown), camera_info(stamp, given.scene.camera), None)
+        answer, track = answer_frame(frame, METRIC, ("labels",), track=track)
+        answers.append(answer)
+    assert [a.fit.status for a in answers] == ["ok", "ambiguous", "ok"]
+    assert "hidden, or doubled" in answers[1].fit.reason and answers[1].panel_frame is None
+    assert track is not None and track.seen is not None
+    assert len(track.seen.labels) == len(given.scene.panel.buttons)

@@ -45,10 +45,15 @@ def with_read(
     track: Track, fit: GridFit, stamp_ns: int, before: Track | None, anew: bool, lit: Lit | None = None
 ) -> Track:
     """Return the track with a fit with labels; anew: whether they were read in this very frame; lit: the last lamps."""
-    young = before is not None and 0 <= stamp_ns - before.read_ns < _REMEMBERED_NS
-    seen = seen_labels(fit, before.seen if before is not None and young else None)
+    seen = seen_labels(fit, remembered(before, stamp_ns))
     read_ns = stamp_ns if anew or before is None else before.read_ns
     return replace(track, read=fit, read_ns=read_ns, seen=seen, lit=lit)
+
+
+def remembered(track: Track | None, stamp_ns: int) -> SeenLabels | None:
+    """Return the labels that were surely read on the track's panel, where that is not too long ago."""
+    young = track is not None and 0 <= stamp_ns - track.read_ns < _REMEMBERED_NS
+    return track.seen if track is not None and young else None
 
 
 def recently_read(track: Track | None, stamp_ns: int, seconds: float) -> FitResult | None:

@@ -20,9 +20,9 @@ from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
-from elevator_rectify.core.reading.hidden import hidden_labels, unless_hidden
+from elevator_rectify.core.reading.hidden import SeenLabels, hidden_labels, respaced, unless_hidden
 from elevator_rectify.core.reading.target import Choice, find_button
-from elevator_rectify.core.track import Track, recent, recently_read, smoothed, with_read
+from elevator_rectify.core.track import Track, recent, recently_read, remembered, smoothed, with_read
 from elevator_rectify.core.types import Array, Button, Detection, FitResult, Image
 from elevator_rectify.core.view.draw import draw_overlay, draw_rectified
 from elevator_rectify.core.view.warp import Rectification, rectify_image
@@ -150,13 +150,17 @@ def _answered(
     if labels_wanted:
         last = None if "reading" in wanted else recently_read(before, stamp, config.network.keyframe_s)
         fit = with_labels(fit, given.image, given.camera, last) if node.read and given.image is not None else fit
+        fit = _unless_respaced(fit, remembered(before, stamp))
+        # What is refused now leaves the track as it was.
+        track, panel_frame = (track, panel_frame) if fit.ok else (before, None)
+    if labels_wanted and fit.ok:
         if "patches" in wanted or (node.lamps and last is None):
             patches = _patches(fit, given, config)
         lit = before.lit if before is not None else None
         lit = lit_in(fit, patches) if node.lamps and patches is not None else lit
         track = with_read(track, fit, stamp, before, last is None, lit) if track is not None else None
-        watch.lap("read")
-    seen = track.seen if track is not None and labels_wanted else None
+    watch.lap("read")
+    seen = track.seen if track is not None and labels_wanted and fit.ok else None
     hidden = hidden_labels(seen, fit, given.camera) if seen is not None else frozenset()
     choice = chosen(fit, target, config, node, frame.detections, hidden, lit) if target else None
     view = None
@@ -198,6 +202,12 @@ def _followed(
     last = before.panel_frame if before is not None and young else None
     panel_frame = followed(last, fit, stamp)
     return replace(track, panel_frame=panel_frame), panel_frame
+
+
+def _unless_respaced(fit: GridFit, seen: SeenLabels | None) -> GridFit:
+    """Return the fit; refused where its buttons are further apart than those with their labels were before."""
+    reason = respaced(seen, fit) if seen is not None else ""
+    return replace(fit, status="ambiguous", reason=reason) if reason else fit
 
 
 def _patches(fit: GridFit, given: Inputs, config: Config) -> Patches | None:

@@ -37,6 +37,9 @@ _SAME_LINE = 0.5
 _OFF_LINE, _ANY_PLACE = 0.06, 0.002
 # In a gap of a whole number of steps, to so much, lines were missed, at most so many.
 _WHOLE_STEP, _MOST_MISSED = 0.12, 2
+# Neighbouring columns are so many buttons' widths apart, and so many of the cells have a button (of 42 rendered panels
+# of which a hand left two to five buttons, 11 of the 14 with a wrong scale are not so, and none of the right ones).
+_LEAST_WIDTHS, _MOST_WIDTHS, _FILLED = 1.05, 2.6, 0.4
 # Rows that run another way by more than this are another pose, unless they are less likely by so many nats.
 _SAME_TURN_RAD, _TURN_NATS = np.deg2rad(8.0), 3.0
 
@@ -136,7 +139,8 @@ def _result(
     (rows, row), (columns, column) = _with_missed(rows, row), _with_missed(columns, column)
     pitch, aspect = _pitch(rows, columns, height)
     size = config.outline.button_size_m
-    scale = replace(config.scale, column_pitch_m=config.scale.column_pitch_m if len(columns) > 1 else 0.0)
+    known = _neighbours(pitch / (2.0 * float(model.half[0])), len(row) / (len(rows) * len(columns)), len(columns))
+    scale = replace(config.scale, column_pitch_m=config.scale.column_pitch_m if known else 0.0)
     if size > 0:
         std = config.outline.button_size_std_m * pitch / height
         scale = replace(scale, column_pitch_m=size * pitch / height, column_pitch_std_m=std)
@@ -163,6 +167,14 @@ def _result(
         column_positions=nodes[0, :, 0],
         measurement=measurement,
     )
+
+
+def _neighbours(widths: float, filled: float, columns: int) -> bool:
+    """Tell whether the columns of few buttons are a pitch apart, which gives the scale: those between may be hidden.
+
+    widths: their distance in buttons' widths; filled: share of the cells with a button.
+    """
+    return columns > 1 and _LEAST_WIDTHS <= widths <= _MOST_WIDTHS and filled >= _FILLED
 
 
 def _size_std(fit: OutlineFit) -> float:

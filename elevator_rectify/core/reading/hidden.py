@@ -15,6 +15,9 @@ from elevator_rectify.core.types import Array, Button
 
 # Labels that are as probable as this are remembered; nearer than so many pitches to where one was, its button is seen.
 _SURE, _NEAR = 0.9, 0.5
+# Buttons of so many labels and more that lie so many times further apart, or nearer, than before, all alike to this
+# share: columns or rows between them are hidden, or doubled.
+_FEWEST_SPACED, _SPACED, _ALIKE = 3, 1.6, 0.15
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,30 @@ def hidden_labels(seen: SeenLabels, fit: GridFit, camera: Camera) -> frozenset[s
         label
         for place, label, in_picture in zip(seen.places, seen.labels, inside, strict=True)
         if in_picture and label not in now.labels and _far(place, now.places)
+    )
+
+
+def respaced(before: SeenLabels, fit: GridFit) -> str:
+    """Return how much further apart, in column pitches, an accepted fit has the buttons of labels that were read a
+    little before; '' where they are as they were, or where it shows more labels than that.
+
+    A lattice that lost every second column has twice the pitch: with a known pitch, its panel is at half the distance.
+    """
+    now = _labelled(fit, _seen(fit))
+    common = [label for label in before.labels if now.labels.count(label) == before.labels.count(label) == 1]
+    if len(common) < _FEWEST_SPACED or len(now.labels) > len(before.labels):
+        return ""
+    apart = []
+    for one in (before, now):
+        at = one.places[[one.labels.index(label) for label in common]]
+        apart.append(np.linalg.norm(at[:, None] - at[None], axis=-1)[np.triu_indices(len(at), 1)])
+    ratio = apart[1] / np.maximum(apart[0], 1e-9)
+    middle = float(np.median(ratio))
+    if 1.0 / _SPACED < middle < _SPACED or (np.abs(ratio / middle - 1.0) > _ALIKE).any():
+        return ""
+    return (
+        f"the buttons {', '.join(sorted(common)[:3])} are {middle:.2f} times as many pitches apart as a little before: "
+        "lines between them are hidden, or doubled"
     )
 
 
