@@ -49,13 +49,19 @@ def _shift(last: FitResult, fit: FitResult) -> Array | None:
     # Where the last origin would be if the camera stood still.
     still = (last.t_camera_panel - fit.t_camera_panel) @ fit.R_camera_panel[:, :2]
     before, now = last.grid_panel.reshape(-1, 2), fit.grid_panel.reshape(-1, 2)
+    if np.linalg.norm(still) < _MOVES * pitch and _alike(before, now, _SAME_CELL * pitch):
+        return np.zeros(2)
     shifts = now[None] - before[:, None]
     moved = np.linalg.norm(shifts - still, axis=-1)
-    # Of the shifts that are near enough the one that brings most cells together; the first of them, which is that of
-    # the first cell where nothing changed.
+    # Of the shifts that are near enough the one that brings most cells together; the first of them.
     near = np.argwhere(moved < _MOVES * pitch)
     if not len(near):
         return None
     agree = [int((np.linalg.norm(shifts - shifts[i, j], axis=-1) < _SAME_CELL * pitch).sum()) for i, j in near]
     i, j = near[int(np.argmax(agree))]
     return np.asarray(shifts[i, j])
+
+
+def _alike(before: Array, now: Array, tolerance: float) -> bool:
+    """Tell whether nothing changed, as in nearly every frame: the same cells at the same places (N, 2)."""
+    return before.shape == now.shape and bool((np.abs(now - before) < tolerance).all())
