@@ -11,6 +11,7 @@ import pytest
 
 from elevator_rectify.benchmark import attitude, lit, rapidocr, reliability, turned_reading
 from elevator_rectify.benchmark.figures import Figures
+from elevator_rectify.calibrate.lit import examples
 from elevator_rectify.core import Detection
 from elevator_rectify.core.lamps.lit import lit_probability
 from elevator_rectify.core.reading.attitude import put
@@ -111,3 +112,10 @@ def test_lamps_are_marked_on_buttons_that_are_there() -> None:
         marked = marks[picture.name].lit | marks[picture.name].unsure
         assert max(marked, default=-1) < picture.is_button.sum()
         assert not marks[picture.name].lit & marks[picture.name].unsure
+
+
+@pytest.mark.skipif(not LABELLED.exists(), reason="the real panels' folder is not beside the checkout")
+def test_examples_of_lit_lamps_are_the_marked_and_the_painted_ones() -> None:
+    asis, *painted = examples((str(LABELLED), "848"))
+    assert not asis.painted and asis.lit.sum() == 1 and asis.seen.shape[1:] == (9, 24, 24)
+    assert painted and all(e.painted and 1 <= e.lit.sum() <= 3 for e in painted)
