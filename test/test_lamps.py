@@ -11,7 +11,6 @@ import pytest
 from elevator_rectify.core import fit_panel
 from elevator_rectify.core.geometry.same_places import same_places
 from elevator_rectify.core.lamps.change import exposure, features, lit_share
-from elevator_rectify.core.lamps.lit import with_odds
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.lamps.watch import (
     REFERENCES,
@@ -40,7 +39,7 @@ def picture(lit: frozenset[int] = frozenset(), taking: Taking = USUAL) -> Image:
 def seen(image: Image, hidden: str = "") -> Patches:
     fit = fit_panel([d for d in SCENE.detections if d.label != hidden], SCENE.camera, image=image)
     assert fit.ok
-    return with_odds(patches_of(image, SCENE.camera, fit, fit.buttons))
+    return patches_of(image, SCENE.camera, fit, fit.buttons)
 
 
 def watch(*after: Patches | None) -> Watch:
@@ -134,8 +133,7 @@ def test_without_frames_or_without_the_button_before_the_reason_says_so() -> Non
 
 def chosen(patches: Patches, order: list[int]) -> Patches:
     labels = tuple(patches.labels[k] for k in order)
-    kept = patches.colour[order], patches.places[order], labels, patches.side_px[order], patches.whole[order]
-    return with_odds(Patches(*kept))
+    return Patches(patches.colour[order], patches.places[order], labels, patches.side_px[order], patches.whole[order])
 
 
 def test_the_order_of_the_buttons_does_not_matter() -> None:

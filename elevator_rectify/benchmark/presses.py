@@ -17,7 +17,6 @@ import numpy as np
 from elevator_rectify.benchmark.detector import boxes_of
 from elevator_rectify.benchmark.end_to_end import CONFIG, first_accepted, true_detections
 from elevator_rectify.core import Camera, Detection, fit_panel
-from elevator_rectify.core.lamps.lit import with_odds
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.lamps.watch import REFERENCES
 from elevator_rectify.core.reading.labels import canonical
@@ -94,7 +93,7 @@ def _frame(panel: _Panel, scene: Image, rng: np.random.Generator, hidden: int = 
     image, H = taken_again(scene, rng)
     found = [d for k, d in enumerate(_moved(panel.truth, H, rng)) if k != hidden]
     fit = fit_panel(found, panel.camera, CONFIG, image=image)
-    return with_odds(patches_of(image, panel.camera, fit, fit.buttons)) if fit.ok else None
+    return patches_of(image, panel.camera, fit, fit.buttons) if fit.ok else None
 
 
 def _moved(truth: list[Detection], H: Array, rng: np.random.Generator) -> list[Detection]:

@@ -29,8 +29,6 @@ _LIT_SHARE, _NOISE = 0.06, 3.0
 _BRIGHTER, _SHARE_AROUND = 25.0, 0.3
 # Beside fewer buttons nothing can be said; so many of them are the nearest.
 FEWEST_OTHERS, _NEAREST = 3, 4
-# Log odds of single pictures beyond this say no more.
-_MOST_ODDS = 8.0
 _BUTTON_HALF = 0.5 * SIDE / MARGIN
 
 
@@ -61,18 +59,9 @@ def features(before: Patches, after: Patches, k: int) -> Array | None:
             np.log1p(np.maximum(raw[near][:, :2].mean(axis=0), 0.0)),
             alike,
             [np.log(max(1.0, min(before.side_px[k], after.side_px[k])))],
-            _became_lit(before, after, k),
         ]
     )
     return np.asarray(found)
-
-
-def _became_lit(before: Patches, after: Patches, k: int) -> Array:
-    """Return (2,) by how much more than before, and how much now, button k looks lit by itself; 0 where unknown."""
-    if not len(before.lit_odds) or not len(after.lit_odds):
-        return np.zeros(2)
-    now, more = after.lit_odds[k], after.lit_odds[k] - before.lit_odds[k]
-    return np.asarray(np.nan_to_num(np.clip([more, now], -_MOST_ODDS, _MOST_ODDS)))
 
 
 def lit_share(before: Patches, after: Patches) -> float:

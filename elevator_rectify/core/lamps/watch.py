@@ -126,9 +126,7 @@ def changed(before: Patches, now: Patches, label: str) -> Array | str:
 
 def _chosen(patches: Patches, which: IntArray) -> Patches:
     labels = tuple(patches.labels[k] for k in which)
-    odds = patches.lit_odds[which] if len(patches.lit_odds) else patches.lit_odds
-    seen = patches.colour[which], patches.places[which], labels, patches.side_px[which], patches.whole[which]
-    return Patches(*seen, odds)
+    return Patches(patches.colour[which], patches.places[which], labels, patches.side_px[which], patches.whole[which])
 
 
 def confirmed(watch: Watch) -> Pressed | None:
