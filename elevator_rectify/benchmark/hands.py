@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from elevator_rectify.benchmark.figures import Figures
 from elevator_rectify.benchmark.parallel import parallel
 from elevator_rectify.benchmark.pictures import pictured
 from elevator_rectify.core import Config, GridFit, ScaleConfig, TargetConfig, find_button, fit_panel
-from elevator_rectify.core.reading.hidden import SeenLabels, hidden_labels, respaced, seen_labels, unless_hidden
+from elevator_rectify.core.reading.hidden import SeenLabels, hidden_labels, seen_labels, unless_hidden, unless_respaced
 from elevator_rectify.core.types import BoolArray, Image
 from elevator_rectify.render.scene import Scene
 
@@ -87,8 +87,7 @@ def run_hand(task: tuple[int, int]) -> list[Asked]:
 
 def _asked(scene: Scene, fit: GridFit, config: Config, k: int, seen: SeenLabels | None, covered: bool) -> Asked:
     label = scene.panel.buttons[k].label
-    if seen is not None and fit.ok and (reason := respaced(seen, fit)):
-        fit = replace(fit, status="ambiguous", reason=reason)
+    fit = unless_respaced(fit, seen) if fit.ok else fit
     choice = find_button(fit, label, config.target)
     if seen is not None and fit.ok:
         known = seen_labels(fit, seen)

@@ -15,12 +15,12 @@ from elevator_rectify.core.detector.follow import Found, find_or_follow
 from elevator_rectify.core.find import of_own_boxes, with_labels
 from elevator_rectify.core.geometry.panel_frame import PanelFrame, began, followed
 from elevator_rectify.core.geometry.scale import with_scale
-from elevator_rectify.core.lamps.lit import Lit, lit_in, with_lit, with_odds
+from elevator_rectify.core.lamps.lit import Lit, lit_in, with_lit
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.picture.placement import Placement, placement
 from elevator_rectify.core.pipeline import fit_panel
 from elevator_rectify.core.reading.grid_fit import GridFit
-from elevator_rectify.core.reading.hidden import SeenLabels, hidden_labels, respaced, unless_hidden
+from elevator_rectify.core.reading.hidden import hidden_labels, unless_hidden, unless_respaced
 from elevator_rectify.core.reading.target import Choice, find_button
 from elevator_rectify.core.track import Track, recent, recently_read, remembered, smoothed, with_read
 from elevator_rectify.core.types import Array, Button, Detection, FitResult, Image
@@ -150,7 +150,7 @@ def _answered(
     if labels_wanted:
         last = None if "reading" in wanted else recently_read(before, stamp, config.network.keyframe_s)
         fit = with_labels(fit, given.image, given.camera, last) if node.read and given.image is not None else fit
-        fit = _unless_respaced(fit, remembered(before, stamp))
+        fit = unless_respaced(fit, remembered(before, stamp))
         # What is refused now leaves the track as it was.
         track, panel_frame = (track, panel_frame) if fit.ok else (before, None)
     if labels_wanted and fit.ok:
@@ -204,17 +204,11 @@ def _followed(
     return replace(track, panel_frame=panel_frame), panel_frame
 
 
-def _unless_respaced(fit: GridFit, seen: SeenLabels | None) -> GridFit:
-    """Return the fit; refused where its buttons are further apart than those with their labels were before."""
-    reason = respaced(seen, fit) if seen is not None else ""
-    return replace(fit, status="ambiguous", reason=reason) if reason else fit
-
-
 def _patches(fit: GridFit, given: Inputs, config: Config) -> Patches | None:
     """Return what an accepted fit's buttons look like in this frame, None without its picture."""
     if given.image is None or not fit.ok:
         return None
-    return with_odds(patches_of(given.image, given.camera, fit, fit.buttons_by(config.labels)))
+    return patches_of(given.image, given.camera, fit, fit.buttons_by(config.labels))
 
 
 def _labels_wanted(wanted: Collection[str], target: str) -> bool:

@@ -71,11 +71,6 @@ def lit_log_odds(patches: Patches, weights: Path = WEIGHTS) -> Array:
     return odds
 
 
-def with_odds(patches: Patches) -> Patches:
-    """Return the patches with what they say of their lamps."""
-    return replace(patches, lit_odds=lit_log_odds(patches))
-
-
 @cache
 def _network(path: Path) -> Any:
     return cv2.dnn.readNetFromONNX(str(path))
@@ -95,12 +90,12 @@ def lit_probability(odds: Array, labels: Sequence[str]) -> Array:
 
 def lamps_of(image: Image, camera: Camera, fit: FitResult, buttons: Sequence[Button]) -> Lit:
     """Return which lamps of an accepted fit's buttons are lit in its picture (height, width[, 3])."""
-    return lit_in(fit, with_odds(patches_of(image, camera, fit, buttons)))
+    return lit_in(fit, patches_of(image, camera, fit, buttons))
 
 
 def lit_in(fit: FitResult, patches: Patches) -> Lit:
-    """Return which lamps are lit by the patches of an accepted fit's buttons (`with_odds`)."""
-    return Lit(fit, patches.places, lit_probability(patches.lit_odds, patches.labels))
+    """Return which lamps are lit by the patches of an accepted fit's buttons."""
+    return Lit(fit, patches.places, lit_probability(lit_log_odds(patches), patches.labels))
 
 
 def with_lit(buttons: Sequence[Button], fit: FitResult, lit: Lit | None) -> tuple[Button, ...]:

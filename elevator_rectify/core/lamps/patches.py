@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,15 +22,13 @@ _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 @dataclass(frozen=True)
 class Patches:
     """K buttons: patches (K, n, n, 3) BGR float32, places on the panel (K, 2) in column pitches, canonical labels (K,),
-    the smaller side (K,) of each in the picture in pixels; whole: (K,) whether it is all in the picture; lit_odds: (K,)
-    what the single picture says of its lamp, NaN where it says nothing (`lit.with_odds`)."""
+    the smaller side (K,) of each in the picture in pixels; whole: (K,) whether it is all in the picture."""
 
     colour: Image
     places: Array
     labels: tuple[str, ...]
     side_px: Array
     whole: Array
-    lit_odds: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def patches_of(image: Image, camera: Camera, fit: FitResult, buttons: Sequence[Button]) -> Patches:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -81,6 +81,12 @@ def respaced(before: SeenLabels, fit: GridFit) -> str:
         f"the buttons {', '.join(sorted(common)[:3])} are {middle:.2f} times as many pitches apart as a little before: "
         "lines between them are hidden, or doubled"
     )
+
+
+def unless_respaced(fit: GridFit, before: SeenLabels | None) -> GridFit:
+    """Return an accepted fit; as 'ambiguous' where its labels are further apart, or nearer, than a little before."""
+    reason = respaced(before, fit) if before is not None else ""
+    return replace(fit, status="ambiguous", reason=reason) if reason else fit
 
 
 def unless_hidden(choice: Choice, target: str, hidden: frozenset[str]) -> Choice:
