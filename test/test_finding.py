@@ -15,8 +15,10 @@ from rclpy.action import ActionClient
 
 from elevator_rectify.live import press
 from elevator_rectify.ros.goals import action
+from elevator_rectify.ros.poses import rotation_of
 from test.harness import ENVIRONMENT, PREFIX, ROOT, Harness, start, stop
 from test.messages import vision_detections
+from test.stand_ins import tf2_ros
 from test.test_live import TRUTH, frame, live
 
 INTERFACE, CONFIRM = action("FindButton"), action("ConfirmPress")
@@ -82,6 +84,27 @@ def test_a_goal_ends_with_the_node() -> None:
         for got in waiting:
             assert (got.result().status, got.result().result.status) == (ABORTED, INTERFACE.Result.ENDED)
         asking.close()
+
+
+def test_poses_come_in_the_frame_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ENVIRONMENT, "PYTHONPATH", str(Path(tf2_ros.__file__).parent))
+    with live("-p", "detections.numbers_are_labels:=true", "-p", "measure:=false", inputs=VISION) as (process, harness):
+        assert harness.until(harness.connected)
+        asking = Client(harness)
+        results = []
+        for frame_id in ("", "map"):
+            handle, _ = asking.ask("7", agreeing=1, of=1, frame_id=frame_id)
+            asking.frames(1)
+            status, result = asking.result(handle)
+            assert status == SUCCEEDED and result.pose.header.frame_id == (frame_id or "camera")
+            results.append(result)
+        R, t = rotation_of(*tf2_ros.QUATERNION), np.array(tf2_ros.TRANSLATION)
+        for kind in ("pose", "standoff"):
+            in_camera, in_map = (getattr(result, kind) for result in results)
+            # The second frame is smoothed by the first one, the detections are the same.
+            assert np.linalg.norm(place(in_map) - (R @ place(in_camera) + t)) < 1e-4
+        asking.close()
+        stop(process)
 
 
 @pytest.fixture(scope="module")

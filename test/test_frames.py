@@ -3,43 +3,26 @@
 from __future__ import annotations
 
 import sys
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from elevator_rectify.core.geometry.rotations import rotation
 from elevator_rectify.core.types import Array
+from elevator_rectify.ros import frames as frames_module
 from elevator_rectify.ros.frames import Frames, Transform
 from elevator_rectify.ros.poses import quaternion, rotation_of
+from elevator_rectify.ros.serialized import Header, Stamp
 from test.messages import header
+from test.stand_ins import tf2_ros
 
-R_MAP_CAMERA = rotation(np.array([0.3, -1.2, 0.5]))
-T_MAP_CAMERA = np.array([1.0, -2.0, 0.5])
-
-
-class _Unknown(Exception):
-    pass
-
-
-class _Buffer:
-    """Knows the way from the frame `camera` to the frame `map`, from one second on."""
-
-    def lookup_transform(self, target: str, source: str, time: Any) -> Any:
-        if (target, source) != ("map", "camera"):
-            raise _Unknown(f'"{target}" passed to lookupTransform does not exist')
-        if time.nanoseconds < 10**9:
-            raise _Unknown("extrapolation into the past")
-        (x, y, z), (i, j, k, w) = T_MAP_CAMERA, quaternion(R_MAP_CAMERA)
-        turn = SimpleNamespace(x=i, y=j, z=k, w=w)
-        return SimpleNamespace(transform=SimpleNamespace(translation=SimpleNamespace(x=x, y=y, z=z), rotation=turn))
+R_MAP_CAMERA = rotation_of(*tf2_ros.QUATERNION)
+T_MAP_CAMERA = np.array(tf2_ros.TRANSLATION)
 
 
 @pytest.fixture
 def frames(monkeypatch: pytest.MonkeyPatch) -> Frames:
-    listener = SimpleNamespace(Buffer=_Buffer, TransformListener=lambda *_: None, TransformException=_Unknown)
-    monkeypatch.setitem(sys.modules, "tf2_ros", listener)
+    monkeypatch.setitem(sys.modules, "tf2_ros", tf2_ros)
     return Frames(None)
 
 
@@ -53,13 +36,31 @@ def test_the_cameras_own_frame_needs_nothing(monkeypatch: pytest.MonkeyPatch) ->
     assert "needs tf2_ros" in str(alone.at("map", header(0)))
 
 
-def test_another_frame_is_looked_up_at_the_images_time(frames: Frames) -> None:
-    found = frames.at("map", header(2 * 10**9))
+# Images are read from their bytes: their header is none of rclpy's.
+@pytest.mark.parametrize("of_image", [header(2 * 10**9), Header(Stamp(2, 0), "camera")])
+def test_another_frame_is_looked_up_at_the_images_time(frames: Frames, of_image: Header) -> None:
+    found = frames.at("map", of_image)
     assert isinstance(found, Transform) and found.name == "map"
     np.testing.assert_allclose(found.R, R_MAP_CAMERA, atol=1e-12)
     np.testing.assert_array_equal(found.t, T_MAP_CAMERA)
     assert "extrapolation" in str(frames.at("map", header(0)))
-    assert "frame_id odom" in str(frames.at("odom", header(2 * 10**9)))
+    assert "frame_id odom" in str(frames.at("odom", of_image))
+
+
+def test_only_what_may_still_come_is_waited_for(frames: Frames) -> None:
+    """The transform of a moving frame comes a little after the image; a frame that does not exist never comes."""
+    for name, stamp in (("map", 2 * 10**9), ("odom", 2 * 10**9), ("map", 0)):
+        frames.at(name, header(stamp))
+    assert [waited > 0 for waited in frames._buffer.waited_ns] == [False, False, False, True]
+
+
+def test_what_is_known_of_frames_comes_in_a_moment(frames: Frames, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not frames.filling
+    frames.at("map", header(0))
+    assert frames.filling
+    began = frames_module.time.monotonic()
+    monkeypatch.setattr(frames_module.time, "monotonic", lambda: began + 2.0)
+    assert not frames.filling
 
 
 def test_a_covariance_turns_with_the_frame() -> None:

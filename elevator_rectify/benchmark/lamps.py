@@ -34,9 +34,10 @@ class Outcome:
 
 
 def run_panel(task: tuple[str, str, int]) -> list[Outcome]:
-    """Watch all presses on one picture: (folder, name, number of each kind)."""
+    """Watch all presses on one picture: (folder, name, number of each kind without a lamp)."""
+    folder, name, dark = task
     found = []
-    for press in presses(*task, frames=JUDGED):
+    for press in presses(folder, name, _PRESSES, JUDGED, dark=dark):
         watch, answer = Watch(press.label, press.before), None
         for now in press.after:
             watch = watched(watch, now)
@@ -48,10 +49,10 @@ def run_panel(task: tuple[str, str, int]) -> list[Outcome]:
     return found
 
 
-def lamps_table(folder: Path, figures: Figures) -> str:
-    """Return the table over the validation part."""
+def lamps_table(folder: Path, figures: Figures, dark: int = _PRESSES) -> str:
+    """Return the table over the validation part, of so many presses of each kind without a lamp on every panel."""
     names = [p.name for p in read_labelled(folder, validation=True) if judgeable(p)]
-    several = parallel(run_panel, [(str(folder), name, _PRESSES) for name in names], "lamps")
+    several = parallel(run_panel, [(str(folder), name, dark) for name in names], "lamps")
     found = [outcome for outcomes in several for outcome in outcomes]
     lines = [f"{'presses on ' + str(sum(map(bool, several))) + ' real panels':<28}{'':>8}"]
     lines[0] += "".join(f"{s:>12}" for s in _STATUSES)

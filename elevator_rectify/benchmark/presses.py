@@ -25,7 +25,8 @@ from elevator_rectify.render.overpaint import taken_again, with_finger, with_lam
 from elevator_rectify.train.labelled import read_labelled
 
 # What happens: the lamp goes on; it does while a finger is near; nothing; another lamp goes on; a finger lies on it.
-LIT, KINDS = ("lit", "lit, finger near"), ("lit", "lit, finger near", "nothing", "another lit", "finger on it")
+LIT, DARK = ("lit", "lit, finger near"), ("nothing", "another lit", "finger on it")
+KINDS = LIT + DARK
 # Boxes are so much off, over their size; a button under a finger is detected by this share.
 _BOX_NOISE, _DETECTED_COVERED = 0.05, 0.6
 
@@ -52,8 +53,11 @@ class _Panel:
     truth: list[Detection]
 
 
-def presses(folder: str, name: str, number: int, frames: int, seed: int = 0) -> Iterator[Press]:
-    """Yield `number` presses of every kind on one picture, with so many frames after each; none where it is refused."""
+def presses(folder: str, name: str, number: int, frames: int, seed: int = 0, dark: int = 0) -> Iterator[Press]:
+    """Yield `number` presses of every kind on one picture, without a lamp `dark` if that is more.
+
+    frames: after each. None where the picture is refused.
+    """
     (picture,) = read_labelled(Path(folder), names=(name,))
     truth = true_detections(picture)
     accepted = first_accepted(picture, truth)
@@ -62,12 +66,13 @@ def presses(folder: str, name: str, number: int, frames: int, seed: int = 0) -> 
     if accepted is None or not single:
         return
     rng, panel = np.random.default_rng([int(name), seed]), _Panel(picture.image, accepted[1], truth)
-    for _ in range(number):
+    for k in range(max(number, dark)):
         chosen = int(rng.choice(single))
         before = [_frame(panel, panel.image, rng) for _ in range(REFERENCES)]
         label = canonical(truth[chosen].label)
         known = tuple(p for p in before if p is not None and label in p.labels)
-        for kind in KINDS if len(known) == REFERENCES else ():
+        kinds = KINDS if k < number else DARK
+        for kind in kinds if len(known) == REFERENCES else ():
             scene = _happened(panel, kind, chosen, rng)
             hidden = kind == "finger on it" and rng.random() > _DETECTED_COVERED
             after = [_frame(panel, scene, rng, chosen if hidden else -1) for _ in range(frames)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -72,6 +74,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, default=5, help="with --buttons: times that a real panel is corrupted")
     for name, what in _LABELLED.items():
         parser.add_argument(f"--{name}", type=Path, metavar="LABELLED", help=f"{what}, on labelled pictures held out")
+    parser.add_argument(
+        "--dark", type=int, default=2, metavar="N", help="with --lamps: presses of each kind without a lamp, a panel"
+    )
     parser.add_argument(
         "--sequences", type=int, default=0, metavar="N", help="tracking, on N camera paths of each kind"
     )
@@ -206,7 +211,7 @@ def _approaches(options: argparse.Namespace, figures: Figures, reference_ms: flo
 
 def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float) -> None:
     """Print the tables of our own detector and reader."""
-    of_part = {
+    of_part: dict[str, Callable[[Path, Figures], str]] = {
         "detector": detector_table,
         "reader": reader_table,
         "turned": turned_reading_table,
@@ -215,7 +220,7 @@ def _labelled(options: argparse.Namespace, figures: Figures, reference_ms: float
         "end_to_end": end_to_end_table,
         "known": known_table,
         "lit": lit_table,
-        "lamps": lamps_table,
+        "lamps": partial(lamps_table, dark=options.dark),
     }
     for name, table in of_part.items():
         folder = getattr(options, name)

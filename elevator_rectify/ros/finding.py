@@ -23,6 +23,7 @@ from elevator_rectify.ros.poses import pose_of, quaternion, ros_header, stamped_
 
 # Chooses the button of a label in the present frame, its place as exact as the second argument says (0: as usual).
 Choose = Callable[[str, float], Choice]
+_UNKNOWN_FRAME = "unknown_frame"
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,10 @@ class FindButton(Goals[FindGoal]):
         """Add what a frame says to every goal; answer those for which that is enough; return the labels it found."""
         found = []
         for goal in self._waiting():
-            goal.seen.append(self._seen(goal, answer, choose))
+            seen = self._seen(goal, answer, choose)
+            if seen.look.choice.status == _UNKNOWN_FRAME and self._frames.filling:
+                continue
+            goal.seen.append(seen)
             goal.frames += 1
             decided = verdict(goal.looks, goal.request)
             self._feed_back(goal)
@@ -95,7 +99,7 @@ class FindButton(Goals[FindGoal]):
             return Seen(Look(choice))
         transform = self._frames.at(goal.frame, answer.header)
         if isinstance(transform, str):
-            return Seen(Look(Choice(None, "unknown_frame", transform)))
+            return Seen(Look(Choice(None, _UNKNOWN_FRAME, transform)))
         return _placed(answer, choice, transform)
 
     def _feed_back(self, goal: FindGoal) -> None:

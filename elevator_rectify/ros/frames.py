@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import importlib
+import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from rclpy.clock import ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
 
 from elevator_rectify.core.types import Array
+from elevator_rectify.ros.convert import stamp_ns
 from elevator_rectify.ros.poses import rotation_of
+
+# A moving frame is known at the time of an image once its next transform came, usually a little after the image.
+_PATIENCE = Duration(seconds=0.1)
+# What is known of a frame is there so long after one began to listen.
+_FILLED_SECONDS = 1.0
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,12 @@ class Frames:
         self._tf2: Any = None
         self._buffer: Any = None
         self._listener: Any = None
+        self._began = -float("inf")
+
+    @property
+    def filling(self) -> bool:
+        """Tell whether it listens since a moment only: what is unknown now may be known of the next image."""
+        return time.monotonic() - self._began < _FILLED_SECONDS
 
     def listen(self) -> str:
         """Begin to listen; return why that cannot be, or ''."""
@@ -48,6 +63,7 @@ class Frames:
             return "another frame than the camera's needs tf2_ros: sudo apt install ros-jazzy-tf2-ros-py"
         self._buffer = self._tf2.Buffer()
         self._listener = self._tf2.TransformListener(self._buffer, self._node)
+        self._began = time.monotonic()
         return ""
 
     def at(self, name: str, header: Any) -> Transform | str:
@@ -57,12 +73,21 @@ class Frames:
             return Transform(camera, np.eye(3), np.zeros(3))
         if problem := self.listen():
             return problem
+        # The stamp of an image that is read from its bytes is no message of rclpy's.
+        at_image = Time(nanoseconds=stamp_ns(header), clock_type=ClockType.ROS_TIME)
         try:
-            found = self._buffer.lookup_transform(name, camera, Time.from_msg(header.stamp)).transform
+            found = self._looked_up(name, camera, at_image).transform
         except self._tf2.TransformException as error:
             return f"frame_id {name}: {error}"
         at, turn = found.translation, found.rotation
         return Transform(name, rotation_of(turn.x, turn.y, turn.z, turn.w), np.array([at.x, at.y, at.z]))
+
+    def _looked_up(self, name: str, camera: str, at_image: Time) -> Any:
+        """Look the transform up; wait a little for one that is known up to just before the time."""
+        try:
+            return self._buffer.lookup_transform(name, camera, at_image)
+        except self._tf2.ExtrapolationException:
+            return self._buffer.lookup_transform(name, camera, at_image, _PATIENCE)
 
 
 def panel_frame(node: Node, name: str) -> str:
