@@ -45,6 +45,22 @@ def test_a_hidden_button_is_not_given_though_inferred_ones_may_be() -> None:
     assert unless_hidden(find_button(now, LABELS[6], lenient), LABELS[6], hidden).button is not None
 
 
+def test_another_button_is_not_taken_for_the_hidden_one_by_the_order_alone() -> None:
+    now, hidden = fit_of(LABELS[7]), frozenset({LABELS[7]})
+    found = find_button(now, LABELS[10], METRIC.target)
+    assert found.button is not None
+    for source, status in (("read", "found"), ("corrected", "occluded")):
+        taken = replace(found, button=replace(found.button, label=LABELS[7], label_source=source))
+        assert unless_hidden(taken, LABELS[7], hidden).status == status
+
+
+def test_a_label_at_another_place_leaves_its_button_hidden() -> None:
+    now = fit_of(LABELS[7])
+    seen = seen_labels(now, seen_labels(fit_of()))
+    elsewhere = replace(seen, labels=tuple(LABELS[7] if name == LABELS[10] else name for name in seen.labels))
+    assert LABELS[7] in hidden_labels(elsewhere, now, VIEW.camera)
+
+
 def test_what_was_seen_is_kept_while_it_is_hidden_and_though_the_lattice_begins_elsewhere() -> None:
     first_row = LABELS[:3]
     seen = seen_labels(fit_of())

@@ -11,10 +11,10 @@ from elevator_rectify.core import Config, fit_panel
 from elevator_rectify.core.config import ScaleConfig, SmoothingConfig, with_values
 from elevator_rectify.core.geometry.pose import covariance_at, residual_covariance_at
 from elevator_rectify.core.geometry.rotations import rotation
-from elevator_rectify.core.geometry.scale import scaled, with_scale
+from elevator_rectify.core.geometry.scale import as_far_apart, neighbours_apart, resized, scaled, with_scale
 from elevator_rectify.core.reading.grid_fit import GridFit
 from elevator_rectify.core.track import smoothed
-from elevator_rectify.core.types import Array
+from elevator_rectify.core.types import Array, IntArray
 from elevator_rectify.render.levels import LEVELS, random_scene
 from elevator_rectify.render.panel import PITCH_M
 from elevator_rectify.render.scene import Scene
@@ -34,6 +34,47 @@ def test_the_ratio_of_known_pitches_is_kept() -> None:
         assert len(errors) >= 9 and np.mean(errors) < 1.5
     # The ratio is given to .3 %; centres alone know it ten times less.
     assert np.max(off[1]) < 0.006 and np.mean(off[0]) > 4.0 * np.mean(off[1])
+
+
+# One column of floors above the middle of a pair, which is a pitch apart: a lattice of half of that.
+_ABOVE_A_PAIR = np.array([[0, 1], [1, 1], [2, 1], [3, 1], [4, 0], [4, 2]])
+
+
+@pytest.mark.parametrize(
+    ("cells", "shown", "apart"),
+    [
+        (_ABOVE_A_PAIR, [], 2.0),
+        (_ABOVE_A_PAIR, [13], 1.0),
+        (np.vstack([_ABOVE_A_PAIR, [3, 2]]), [], 1.0),
+        (np.array([[0, 0], [1, 1], [2, 0], [3, 2]]), [], 1.0),
+    ],
+)
+def test_the_column_pitch_is_that_of_neighbours_in_a_row(cells: IntArray, shown: list[int], apart: float) -> None:
+    nodes = np.stack(np.meshgrid(np.arange(3.0), np.arange(5.0)), axis=-1)
+    assert neighbours_apart(nodes, cells, np.array(shown, dtype=np.int64)) == apart
+
+
+def test_a_column_above_a_pair_is_as_far_away_as_it_is() -> None:
+    at = (_ABOVE_A_PAIR - [0, 1])[:, ::-1] * [0.5 * PITCH_M, 1.1 * PITCH_M]
+    view = scene(3, tilt_deg=20.0)
+    pixels = view.camera.project(at @ view.R_camera_panel[:, :2].T + view.t_camera_panel)
+    fit = fit_panel(pixels, view.camera, Config(scale=ScaleConfig(column_pitch_m=PITCH_M)))
+    assert (fit.rows, fit.columns, fit.inliers, fit.apart) == (5, 3, 6, 2.0)
+    assert fit.column_pitch == pytest.approx(PITCH_M)
+    # Without noise but for what the priors of the shape add.
+    assert np.linalg.norm(fit.grid_points[0, 1] - view.t_camera_panel) < 0.02 * np.linalg.norm(view.t_camera_panel)
+
+
+def test_neighbours_that_were_seen_before_keep_their_distance() -> None:
+    view = scene(3)
+    before = fit_panel(view.centres_px, view.camera)
+    hidden = resized(replace(before, apart=2.0), 0.5)
+    now = as_far_apart(hidden, before)
+    assert now.apart == before.apart
+    np.testing.assert_allclose(now.t_camera_panel, before.t_camera_panel)
+    np.testing.assert_allclose(now.covariance, before.covariance)
+    assert as_far_apart(before, hidden) is before
+    assert as_far_apart(hidden, replace(before, columns=9)) is hidden
 
 
 def depth_of(view: Scene) -> Array:

@@ -171,7 +171,7 @@ class ScaleConfig(Checked):
     """The metric scale, which one picture of a grid cannot give."""
 
     column_pitch_m: float = value(
-        0.0, "distance of two columns; 0: unknown, then lengths are in pitches", low=0.0, high=1.0
+        0.0, "distance of two neighbouring buttons in a row; 0: unknown, then lengths are in it", low=0.0, high=1.0
     )
     column_pitch_std_m: float = value(0.002, "its standard deviation", low=0.0, high=1.0)
     row_pitch_m: float = value(

@@ -13,6 +13,7 @@ from elevator_rectify.core.detections import Usable, usable_detections
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.common_errors import with_common_errors
 from elevator_rectify.core.geometry.same_places import stayed
+from elevator_rectify.core.geometry.scale import as_far_apart
 from elevator_rectify.core.known.file import known_panel
 from elevator_rectify.core.known.fit import fit_known
 from elevator_rectify.core.lattice.marks import MARK, marks_as_before, second_lines
@@ -156,7 +157,8 @@ def _tracked(
 ) -> FitResult | None:
     """Return the previous fit moved to the buttons, without the marks beside them; None where it explains them not."""
     buttons = usable.without(marks_as_before(previous, usable.rays, usable.log_sizes))
-    return tracked(buttons, camera, sigma, config, previous, image)
+    fit = tracked(buttons, camera, sigma, config, previous, image)
+    return None if fit is None else as_far_apart(fit, previous)
 
 
 def _more(last: FitResult, usable: Usable, camera: Camera, sigma: float, config: Config) -> bool:

@@ -26,6 +26,7 @@ from elevator_rectify.core.geometry.pose import (
     residual_covariance_at,
     scale_pose_covariance,
 )
+from elevator_rectify.core.geometry.scale import neighbours_apart
 from elevator_rectify.core.lattice.joint import JointFit
 from elevator_rectify.core.lattice.layout import Layout, LayoutFit, pose_at
 from elevator_rectify.core.lattice.refinement import ANNEALING, Poses
@@ -51,14 +52,18 @@ def failed_fit(status: str, reason: str, usable: Usable, config: Config) -> FitR
 
 @dataclass(frozen=True)
 class Geometry:
-    """What an estimator found, in column pitches: nodes (rows, columns, 2) lattice coordinates (column, row) relative
-    to cell (0, 0), cells (M, 2) of the usable detections, covariance of (t, rotation) and, as far as the method has
-    them, of ln aspect and breaks."""
+    """What an estimator found, in pitches of its columns.
+
+    nodes: (rows, columns, 2) lattice coordinates (column, row) relative to cell (0, 0); cells: (M, 2) of the usable
+    detections; covariance: of (t, rotation) and, as far as the method has them, of ln aspect and breaks; shown: (B,)
+    further nodes where the picture shows a button.
+    """
 
     pose: LatticePose
     nodes: Array
     cells: IntArray
     covariance: Array
+    shown: IntArray | None = None
 
 
 def paper_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> FitResult:
@@ -179,12 +184,14 @@ def layout_result(
     usable: Usable,
     camera: Camera,
     config: Config,
+    shown: IntArray | None = None,
 ) -> FitResult:
-    """Return the geometry of a layout fit; pose and covariance are those of its first node."""
+    """Return the geometry of a layout fit; pose and covariance are those of its first node; shown (B,): the nodes where
+    the picture shows a button."""
     layout = fit.layout
     origin = layout.nodes[0, 0]
     nodes = layout.nodes - origin
-    found = with_geometry(found, Geometry(pose, nodes, fit.cells, covariance), usable, camera, config)
+    found = with_geometry(found, Geometry(pose, nodes, fit.cells, covariance, shown), usable, camera, config)
     error = _errors(pose, nodes, fit.cells, usable.rays)
     depth = float(pose.t[2])
     return replace(
@@ -244,9 +251,10 @@ def _lattice(rows: int, columns: int) -> Array:
 def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: Camera, config: Config) -> FitResult:
     """Fill in pose, covariance and grid in the user's units."""
     metric = config.scale.column_pitch_m > 0
-    unit = config.scale.column_pitch_m if metric else 1.0
-    std = config.scale.column_pitch_std_m if metric else 0.0
     pose, nodes, cells = geometry.pose, geometry.nodes, geometry.cells
+    apart = neighbours_apart(nodes, cells, geometry.shown)
+    unit = (config.scale.column_pitch_m if metric else 1.0) / apart
+    std = config.scale.column_pitch_std_m / apart if metric else 0.0
     points = pose.camera_points(nodes) * unit
     all_cells = np.full((usable.number, 2), -1, dtype=np.int64)
     all_cells[usable.index] = cells
@@ -262,6 +270,7 @@ def with_geometry(found: FitResult, geometry: Geometry, usable: Usable, camera: 
         R_camera_panel=pose.R,
         t_camera_panel=pose.t * unit,
         pitch=np.array([1.0, pose.aspect]) * unit,
+        apart=apart,
         covariance=scale_pose_covariance(geometry.covariance[:6, :6], pose.t, unit, std),
         shape_covariance=in_unit(geometry.covariance, unit),
         scale_std_share=std / unit,

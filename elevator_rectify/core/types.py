@@ -122,7 +122,9 @@ class KnownPanel:
 class FitResult:
     """The fitted grid and the panel's pose, or the reason why there is none.
 
-    Lengths are in metres where the column pitch is known, else in column pitches (`metric` tells). The panel frame
+    Lengths are in metres where the column pitch is known, else in column pitches (`metric` tells): the distance of two
+    neighbouring buttons in a row. They are `apart` columns of the lattice apart: 2 where one column of floors stands
+    above the middle of a pair. The panel frame
     has x along a row to the right, y down a column, z into the panel; its origin is the centre of cell (0, 0).
     Where no pose was found, the geometry is NaN; where one was found but refused, it is the refused one.
 
@@ -153,6 +155,7 @@ class FitResult:
     R_camera_panel: Array = _nan(3, 3)
     t_camera_panel: Array = _nan(3)
     pitch: Array = _nan(2)
+    apart: float = 1.0
     covariance: Array = _nan(6, 6)
     shape_covariance: Array = _nan(6, 6)
     scale_std_share: float = 0.0
@@ -190,6 +193,11 @@ class FitResult:
     def ok(self) -> bool:
         """Tell whether the pose may be used."""
         return self.status == "ok"
+
+    @property
+    def column_pitch(self) -> float:
+        """Return the distance of two neighbouring buttons in a row, in the fit's unit."""
+        return float(self.pitch[0]) * self.apart
 
     def point_at(self, place: Array) -> Array:
         """Return the point (3,) in the camera frame of a place (2,) on the panel, in the fit's unit."""

@@ -9,7 +9,7 @@ import numpy as np
 from elevator_rectify.core.config import ScaleConfig
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import in_unit, scale_pose_covariance
-from elevator_rectify.core.types import Array, FitResult, FitT
+from elevator_rectify.core.types import Array, FitResult, FitT, IntArray
 
 # Places across the grid, per axis, at which the depth is read.
 _PLACES = 24
@@ -20,6 +20,8 @@ _WIDEST_SPREAD = 0.1
 _DISAGREEMENT_STDS = 4.0
 # Columns of buttons are no nearer to each other than a finger's width, and no further apart than a hand.
 _SMALLEST_PITCH_M, _LARGEST_PITCH_M = 0.01, 0.2
+# Buttons are a column apart within this.
+_ONE_APART = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,26 @@ def scale_from_depth(fit: FitResult, camera: Camera, depth_m: Array) -> Scale:
     return Scale(metres, metres * float(np.hypot(_SYSTEMATIC_SHARE, spread / np.sqrt(len(ratios)))))
 
 
+def neighbours_apart(nodes: Array, cells: IntArray, shown: IntArray | None = None) -> float:
+    """Return how many columns of the lattice neighbouring buttons of a row are apart; 1 where no row has two.
+
+    nodes: (R, C, 2) lattice coordinates (column, row); cells: (N, 2) row and column of the detections, -1 beside the
+    lattice; shown: (B,) further nodes with a button. A single column of floors above the middle of a pair of controls,
+    as one real panel in fifteen has it, is a lattice of half the pairs' distance; that is no pitch of columns.
+    """
+    rows, columns = nodes.shape[:2]
+    filled = np.zeros((rows, columns), dtype=bool)
+    if shown is not None:
+        filled.ravel()[shown] = True
+    row, column = cells[cells[:, 0] >= 0].T
+    filled[row, column] = True
+    row, column = np.nonzero(filled)
+    apart = np.diff(nodes[row, column, 0])[np.diff(row) == 0]
+    if not len(apart) or (np.abs(apart - 1.0) < _ONE_APART).any():
+        return 1.0
+    return float(apart.min())
+
+
 def _unknown(reason: str) -> Scale:
     return Scale(float("nan"), float("nan"), reason)
 
@@ -88,19 +110,35 @@ def with_scale(fit: FitT, camera: Camera, depth_m: Array, config: ScaleConfig) -
 
 def scaled(fit: FitT, metres: float, std: float) -> FitT:
     """Return the fit, in pitches, in metres: one pitch is `metres`, with standard deviation `std`."""
+    return replace(
+        resized(fit, metres),
+        metric=True,
+        covariance=scale_pose_covariance(fit.covariance, fit.t_camera_panel, metres, std),
+        scale_std_share=std / metres,
+    )
+
+
+def resized(fit: FitT, factor: float) -> FitT:
+    """Return the fit with all lengths multiplied by a factor."""
     seen = fit.measurement
     response = fit.common_response.copy()
-    response[:3] *= metres
+    response[:3] *= factor
     return replace(
         fit,
-        measurement=None if seen is None else replace(seen, half_size=seen.half_size * metres),
-        metric=True,
-        t_camera_panel=fit.t_camera_panel * metres,
-        pitch=fit.pitch * metres,
-        covariance=scale_pose_covariance(fit.covariance, fit.t_camera_panel, metres, std),
-        shape_covariance=in_unit(fit.shape_covariance, metres),
-        scale_std_share=std / metres,
+        measurement=None if seen is None else replace(seen, half_size=seen.half_size * factor),
+        t_camera_panel=fit.t_camera_panel * factor,
+        pitch=fit.pitch * factor,
+        covariance=in_unit(fit.covariance, factor),
+        shape_covariance=in_unit(fit.shape_covariance, factor),
         common_response=response,
-        grid_panel=fit.grid_panel * metres,
-        grid_points=fit.grid_points * metres,
+        grid_panel=fit.grid_panel * factor,
+        grid_points=fit.grid_points * factor,
     )
+
+
+def as_far_apart(fit: FitT, before: FitResult) -> FitT:
+    """Return the fit of the same lattice by the neighbours that the frame before showed, where this one shows none as
+    near: they are hidden now."""
+    if (fit.rows, fit.columns) != (before.rows, before.columns) or not fit.apart > before.apart:
+        return fit
+    return replace(resized(fit, fit.apart / before.apart), apart=before.apart)

@@ -125,4 +125,4 @@ def _unit(known: KnownPanel, config: Config) -> tuple[float, float, bool]:
     pitch = config.scale.column_pitch_m
     if known.metric or pitch <= 0:
         return 1.0, known.scale_std_share, known.metric
-    return pitch / float(known.pitch[0]), config.scale.column_pitch_std_m / pitch, True
+    return pitch, config.scale.column_pitch_std_m / pitch, True

@@ -102,7 +102,7 @@ def with_lit(buttons: Sequence[Button], fit: FitResult, lit: Lit | None) -> tupl
     """Return the buttons of an accepted fit with their lamps as they were seen in it, or in one just before."""
     if lit is None or not len(lit.places) or not stayed(fit, lit.fit):
         return tuple(buttons)
-    places = np.array([b.panel for b in buttons]).reshape(-1, 2) / float(fit.pitch[0])
+    places = np.array([b.panel for b in buttons]).reshape(-1, 2) / fit.column_pitch
     apart = np.linalg.norm(places[:, None] - lit.places[None], axis=-1)
     told = {int(k): float(lit.probability[n]) for k, n in mutually_nearest(apart, _SAME_PLACE)}
     return tuple(_told(button, told.get(k, float("nan"))) for k, button in enumerate(buttons))

@@ -41,7 +41,7 @@ def patches_of(image: Image, camera: Camera, fit: FitResult, buttons: Sequence[B
     sides = np.linalg.norm(np.diff(corners_px, axis=1), axis=-1).reshape(len(corners_px), 3)
     return Patches(
         np.array([_patch(colour, c) for c in corners_px], dtype=np.float32).reshape(-1, SIDE, SIDE, 3),
-        np.array([b.panel for b in buttons]).reshape(-1, 2) / float(fit.pitch[0]),
+        np.array([b.panel for b in buttons]).reshape(-1, 2) / fit.column_pitch,
         tuple(b.label for b in buttons),
         np.asarray(sides.min(axis=1) / MARGIN),
         np.asarray(inside.all(axis=(1, 2))),

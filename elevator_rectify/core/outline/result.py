@@ -13,6 +13,7 @@ from elevator_rectify.core.detections import Usable
 from elevator_rectify.core.geometry.camera import Camera
 from elevator_rectify.core.geometry.pose import LatticePose, on_plane
 from elevator_rectify.core.geometry.rotations import rotations
+from elevator_rectify.core.geometry.scale import neighbours_apart
 from elevator_rectify.core.outline.pose import FewFit, fit_few
 from elevator_rectify.core.outline.refinement import OutlineFit
 from elevator_rectify.core.outline.shapes import OutlineModel
@@ -138,18 +139,19 @@ def _result(
     columns, column = _lines(plane[:, 0], height)
     (rows, row), (columns, column) = _with_missed(rows, row), _with_missed(columns, column)
     pitch, aspect = _pitch(rows, columns, height)
-    size = config.outline.button_size_m
-    known = _neighbours(pitch / (2.0 * float(model.half[0])), len(row) / (len(rows) * len(columns)), len(columns))
+    nodes = np.stack(np.meshgrid((columns - columns[0]) / pitch, (rows - rows[0]) / (pitch * aspect)), axis=-1)
+    cells = np.column_stack([row, column])
+    size, apart = config.outline.button_size_m, pitch * neighbours_apart(nodes, cells)
+    known = _neighbours(apart / (2.0 * float(model.half[0])), len(row) / (len(rows) * len(columns)), len(columns))
     scale = replace(config.scale, column_pitch_m=config.scale.column_pitch_m if known else 0.0)
     if size > 0:
-        std = config.outline.button_size_std_m * pitch / height
-        scale = replace(scale, column_pitch_m=size * pitch / height, column_pitch_std_m=std)
-    nodes = np.stack(np.meshgrid((columns - columns[0]) / pitch, (rows - rows[0]) / (pitch * aspect)), axis=-1)
+        std = config.outline.button_size_std_m * apart / height
+        scale = replace(scale, column_pitch_m=size * apart / height, column_pitch_std_m=std)
     t = (model.origin + R[:, :2] @ np.array([columns[0], rows[0]])) / pitch
     whole = np.zeros((6, 6))
     whole[:3, :3] = (_CENTRE_STD_PX / camera.focal_px * t[2]) ** 2 * np.eye(3) + _size_std(fit) ** 2 * np.outer(t, t)
     whole[3:, 3:] = covariance
-    geometry = Geometry(LatticePose(R, t, aspect), nodes, np.column_stack([row, column]), whole)
+    geometry = Geometry(LatticePose(R, t, aspect), nodes, cells, whole)
     result = with_geometry(
         replace(refused, status="ok", reason=""), geometry, usable, camera, replace(config, scale=scale)
     )

@@ -165,7 +165,8 @@ def _result(
     pose, covariance = measured_pose(measured, fit.layout.nodes[0, 0], config)
     area = camera.width * camera.height / camera.focal_px**2
     explained = with_overlapping(evaluate(fit.pose, fit.layout, usable.rays, sigma, area, joint), usable, measured)
-    result = layout_result(explained, pose, covariance, boxes, usable, camera, config)
+    shown = measured.places.node[measured.places.seen]
+    result = layout_result(explained, pose, covariance, boxes, usable, camera, config, shown)
     return replace(result, measurement=measurement_of(measured, float(result.pitch[0]), camera))
 
 

@@ -49,13 +49,14 @@ def hidden_labels(seen: SeenLabels, fit: GridFit, camera: Camera) -> frozenset[s
     seen: what is known of this fit's panel (`seen_labels`).
     """
     now = _labelled(fit, _seen(fit))
-    points = seen.places * float(fit.pitch[0]) @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
+    there = {label: now.places[[k for k, name in enumerate(now.labels) if name == label]] for label in seen.labels}
+    points = seen.places * fit.column_pitch @ fit.R_camera_panel[:, :2].T + fit.t_camera_panel
     px = camera.project(points)
     inside = np.all((px >= 0.0) & (px <= np.array([camera.width - 1.0, camera.height - 1.0])), axis=1)
     return frozenset(
         label
         for place, label, in_picture in zip(seen.places, seen.labels, inside, strict=True)
-        if in_picture and label not in now.labels and _far(place, now.places)
+        if in_picture and _far(place, there[label]) and _far(place, now.places)
     )
 
 
@@ -90,12 +91,18 @@ def unless_respaced(fit: GridFit, before: SeenLabels | None) -> GridFit:
 
 
 def unless_hidden(choice: Choice, target: str, hidden: frozenset[str]) -> Choice:
-    """Return the choice; as 'occluded' where the button that was asked for is hidden, and none was found that is
-    seen."""
+    """Return the choice; as 'occluded' where the button that was asked for is hidden, and none is read so elsewhere.
+
+    What the others' order makes of another button's reading is no reason to look for it elsewhere.
+    """
     name = canonical(target)
-    if name not in hidden or (choice.button is not None and _is_seen(choice.button)):
+    if name not in hidden or (choice.button is not None and _is_read(choice.button)):
         return choice
     return Choice(None, "occluded", f"{name} was read a little before, and nothing is seen there now")
+
+
+def _is_read(button: Button) -> bool:
+    return _is_seen(button) and button.label_source == "read"
 
 
 def _is_seen(button: Button) -> bool:
@@ -108,7 +115,7 @@ def _seen(fit: GridFit) -> list[Button]:
 
 
 def _labelled(fit: GridFit, buttons: list[Button]) -> SeenLabels:
-    places = np.array([b.panel for b in buttons]).reshape(-1, 2) / float(fit.pitch[0])
+    places = np.array([b.panel for b in buttons]).reshape(-1, 2) / fit.column_pitch
     return SeenLabels(places, tuple(b.label for b in buttons))
 
 
