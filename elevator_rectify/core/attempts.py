@@ -17,7 +17,7 @@ from elevator_rectify.core.lattice.joint import THOROUGH, USUAL, JointFit, fit_j
 from elevator_rectify.core.picture.fit import with_picture
 from elevator_rectify.core.picture.straight_edges import Photo
 from elevator_rectify.core.picture.witness import CONFIRMED, CONTRADICTED, contradicted, second_opinion
-from elevator_rectify.core.result import joint_fit, layout_of
+from elevator_rectify.core.result import decided, joint_fit, layout_of, undecided
 from elevator_rectify.core.types import Array, BoolArray, FitResult, Image
 
 # The first search's share of the hypotheses.
@@ -120,18 +120,22 @@ def tracked(
     if fit is None:
         return None
     moved = JointFit(turned(fit, R_upright_camera.T), None, previous.margin_nats)
-    result = joint_fit(moved, usable, camera, sigma, config)
+    boxes = undecided(moved, usable, camera, sigma, config)
     if image is None:
-        return result
+        return decided(boxes, moved, usable, camera, config)
     measured = previous.measurement is not None
-    shown = with_picture(moved, result, usable, sigma, Photo(image, camera), config, previous.measurement)
+    shown = with_picture(moved, boxes, usable, sigma, Photo(image, camera), config, previous.measurement)
+    if shown.ok:
+        # What the picture shows needs no verdict by the boxes.
+        return shown
+    result = decided(boxes, moved, usable, camera, config)
+    shown = result if shown is boxes else shown
     if not config.measurement.witness:
         return shown
     # Boxes that were believed without the picture's measurement are so while they are tracked.
-    if not measured and result.ok and not shown.ok:
+    if not measured and result.ok:
         return result
-    lost = measured and shown.measurement is None
-    return witnessed(shown, result, usable, camera, sigma, image, config) if lost or not shown.ok else shown
+    return witnessed(shown, result, usable, camera, sigma, image, config)
 
 
 def grew(fit: FitResult, previous: FitResult) -> bool:

@@ -96,14 +96,26 @@ def paper_fit(fit: PaperFit, usable: Usable, camera: Camera, config: Config) -> 
 
 def joint_fit(fit: JointFit | None, usable: Usable, camera: Camera, sigma: float, config: Config) -> FitResult:
     """Turn the joint method's fit into a FitResult and decide its status."""
-    found = failed_fit("no_lattice", "no lattice of two rows and two columns explains the detections", usable, config)
     if fit is None:
-        return found
-    best = _layout_result(fit.best, found, usable, camera, config)
+        return _no_lattice(usable, config)
+    return decided(undecided(fit, usable, camera, sigma, config), fit, usable, camera, config)
+
+
+def _no_lattice(usable: Usable, config: Config) -> FitResult:
+    return failed_fit("no_lattice", "no lattice of two rows and two columns explains the detections", usable, config)
+
+
+def undecided(fit: JointFit, usable: Usable, camera: Camera, sigma: float, config: Config) -> FitResult:
+    """Return the geometry and the confidence of the joint method's fit, which is not accepted yet."""
+    best = _layout_result(fit.best, _no_lattice(usable, config), usable, camera, config)
     score = logistic_confidence(features(fit.best, fit.margin, sigma, best, usable, camera), COEFFICIENTS)
-    best = replace(best, confidence=score, margin_nats=fit.margin)
+    return replace(best, confidence=score, margin_nats=fit.margin)
+
+
+def decided(best: FitResult, fit: JointFit, usable: Usable, camera: Camera, config: Config) -> FitResult:
+    """Return an undecided result with its status."""
     if fit.other is not None and fit.margin < config.joint.ambiguity_nats:
-        other = _layout_result(fit.other, found, usable, camera, config)
+        other = _layout_result(fit.other, _no_lattice(usable, config), usable, camera, config)
         reason = f"two poses explain the detections, {fit.margin:.2g} nats apart"
         return replace(best, status="ambiguous", reason=reason, alternatives=(other,))
     reason = contradiction(best, usable.index, usable.telling_sizes_px, camera)

@@ -61,6 +61,8 @@ from elevator_rectify.ros.waiting import Waiting
 _DIAGNOSTICS_SECONDS, _WORKER_SECONDS = 1.0, 0.5
 # A detector may be found so much later than the camera.
 _OWN_AFTER_SECONDS = 2.0
+# Views from other sides come no faster.
+_CAMERA_CHECK_SECONDS = 0.2
 _TF_DEPTH, _LONGEST_TARGET = 100, 100
 _TF = "tf2_msgs/msg/TFMessage"
 
@@ -83,7 +85,7 @@ class ElevatorRectify(Node):
         self._hints = Hints(self.node_config)
         self._target = ""
         self._found: Found | None = None
-        self._camera_check = CameraCheck()
+        self._camera_check, self._camera_checked = CameraCheck(), 0.0
         self._outputs = {topic: self._publisher(kind, f"~/{topic}") for topic, kind in self._topics().items()}
         self._diagnostics = self._publisher("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics")
         self._tf = self._tf_publisher() if self.node_config.publish_tf else None
@@ -265,7 +267,10 @@ class ElevatorRectify(Node):
             self._confirming.remember(found, answer)
 
     def _check_camera(self, answer: Answer, frame: Frame) -> None:
-        """Let an accepted frame say what it knows of the calibration."""
+        """Let an accepted frame now and then say what it knows of the calibration."""
+        if time.monotonic() - self._camera_checked < _CAMERA_CHECK_SECONDS:
+            return
+        self._camera_checked = time.monotonic()
         if answer.fit.ok:
             rectified = self.node_config.image_is_rectified
             self._camera_check.add(answer.fit, camera_from_message(frame.camera_info, rectified=rectified))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -24,15 +25,18 @@ def ros_header(header: Any, make: Make) -> Any:
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:
     """Return (x, y, z, w) of a rotation matrix, w >= 0."""
-    # The eigenvector of the largest eigenvalue (Bar-Itzhack 2000): well conditioned at every angle.
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    K = np.zeros((4, 4))
-    K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
-    K[:3, 3] = K[3, :3] = skew
-    K[3, 3] = np.trace(R)
-    q = np.linalg.eigh(K)[1][:, -1]
-    x, y, z, w = (float(v) for v in (q if q[3] >= 0 else -q))
-    return x, y, z, w
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
+    # By the largest of the four: well conditioned at every angle (Shepperd 1978).
+    rows = (
+        (squares[0], b + d, c + g, h - f),
+        (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
+    )
+    q = rows[squares.index(max(squares))]
+    length = math.copysign(math.hypot(*q), q[3])
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
 
 
 def rotation_of(x: float, y: float, z: float, w: float) -> Array:
