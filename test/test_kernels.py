@@ -75,6 +75,15 @@ def test_a_layout_is_evaluated_and_refined_alike(seed: int, monkeypatch: pytest.
         assert_alike(*both(monkeypatch, partial(refine_layout, fit, *given, 4, log_sizes)))
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_points_and_their_derivatives_are_alike(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, rays, _ = drawn(seed)
+    lattice = fit.layout.nodes.reshape(1, -1, 2)
+    for do in (partial(refinement.jacobians, fit.pose, lattice), partial(of_layout.design, fit, rays)):
+        for one, other in zip(*both(monkeypatch, do), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-12)
+
+
 def test_many_poses_are_stepped_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     fits = [drawn(seed)[0] for seed in range(3)]
     rays = drawn(0)[1]

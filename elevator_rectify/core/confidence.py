@@ -110,7 +110,7 @@ def features(fit: LayoutFit, margin: float, sigma: float, found: FitResult, usab
         + len(layout.column_breaks)
         + float(layout.row_stagger.sum() + layout.column_stagger.sum())
     )
-    filled = len(np.unique(fit.node[fit.inlier > 0.5]))
+    filled = np.count_nonzero(np.bincount(fit.node[fit.inlier > 0.5]))
     lines = len(layout.rows), len(layout.columns)
     return np.array(
         [

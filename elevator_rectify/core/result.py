@@ -178,7 +178,7 @@ def _implausible(found: FitResult, fit: LayoutFit, camera: Camera) -> str:
     if not apart > _NEAREST_LINES:
         return f"two rows or columns are {apart:.2f} pitches apart, less than a button"
     on = fit.node[fit.inlier > 0.5]
-    shared = len(on) / max(1, len(np.unique(on)))
+    shared = len(on) / max(1, int(np.count_nonzero(np.bincount(on))))
     return f"{shared:.1f} detections in every filled cell" if shared > _MOST_IN_A_CELL else undone_perspective(found)
 
 

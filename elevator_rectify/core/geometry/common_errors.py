@@ -31,7 +31,9 @@ def with_common_errors(fit: FitT, config: JointConfig) -> FitT:
     their distance from the axis. What that does to a pose is the least-squares response of the filled cells' places
     (Hartley and Zisserman, 5.2: propagation of errors through a fit).
     """
-    row, column = np.unique(fit.cells[fit.cells[:, 0] >= 0], axis=0).T
+    filled = np.zeros((fit.rows, fit.columns), dtype=bool)
+    filled[tuple(fit.cells[fit.cells[:, 0] >= 0].T)] = True
+    row, column = np.nonzero(filled)
     if not len(row) or not np.isfinite(fit.covariance).all():
         return fit
     places = fit.grid_panel[row, column]

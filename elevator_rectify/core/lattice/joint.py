@@ -149,7 +149,7 @@ def track_joint(
     fit = refine_layout(fit, rays, sigma, area, joint, steps=3, log_sizes=log_sizes)
     if fit.layout.row_breaks or fit.layout.column_breaks:
         fit = evaluate(fit.pose, without_empty_blocks(fit), rays, sigma, area, joint)
-    filled = len(np.unique(fit.node[fit.inlier > 0.5])) / fit.layout.cells
+    filled = np.count_nonzero(np.bincount(fit.node[fit.inlier > 0.5])) / fit.layout.cells
     return fit if _explained(fit) >= _TRACKED_SHARE * share and filled > 0.4 and fit.sigma < 2.0 * sigma else None
 
 

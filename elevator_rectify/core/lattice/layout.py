@@ -136,6 +136,8 @@ def _explained(pose: Poses, layout: Layout, rays: Array, sigma: float, area: flo
 
 def design(fit: LayoutFit, rays: Array) -> tuple[Array, Array, Array]:
     """Return error (N, 2), Jacobian (N, 2, 7 + breaks) and d/d(u, v) (N, 2, 2) at each detection's node."""
+    if COMPILED:
+        return kernels.design(posed_layout(fit.pose, fit.layout), fit.node, plain(rays))
     at = fit.layout.nodes.reshape(-1, 2)[fit.node]
     x, J, d_uv = jacobians(fit.pose, at[None])
     row, column = np.divmod(fit.node, len(fit.layout.columns))

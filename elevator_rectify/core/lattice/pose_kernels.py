@@ -57,6 +57,16 @@ def jacobian(
 
 
 @compiled
+def jacobians(R: Array, t: Array, log_aspect: float, centre: Array, lattice: Array) -> tuple[Array, Array, Array]:
+    """As `refinement.jacobians` for one pose: points (N, 2), derivatives (N, 2, 7) and (N, 2, 2)."""
+    x, arm, depth = projected(R, t, log_aspect, centre, lattice)
+    J, d_uv = np.empty((len(lattice), 2, 7)), np.empty((len(lattice), 2, 2))
+    for n in range(len(lattice)):
+        jacobian(R, log_aspect, centre, lattice[n], x[n], arm[n], depth[n], J[n], d_uv[n])
+    return x, J, d_uv
+
+
+@compiled
 def solved(A: Array, b: Array) -> Array:
     """Return the solution (P,) of a symmetric positive definite system, by Cholesky's factors."""
     P = len(b)

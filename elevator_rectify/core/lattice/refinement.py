@@ -15,7 +15,7 @@ import numpy as np
 from elevator_rectify.core.compiled import COMPILED, plain
 from elevator_rectify.core.config import JointConfig
 from elevator_rectify.core.geometry.rotations import rotations
-from elevator_rectify.core.lattice import kernels
+from elevator_rectify.core.lattice import kernels, pose_kernels
 from elevator_rectify.core.lattice.hypotheses import lattice_coordinates, nearest_nodes
 from elevator_rectify.core.lattice.kernels import CONNECTED_CELLS, STEEP_RAD, TURNED_RAD
 from elevator_rectify.core.lattice.pose_kernels import settings, steps_towards
@@ -103,6 +103,10 @@ def projected(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:
 
 def jacobians(poses: Poses, lattice: Array) -> tuple[Array, Array, Array]:
     """Return predicted points (B, N, 2), d/d(t, rotation, ln aspect) (B, N, 2, 7) and d/d(u, v) (B, N, 2, 2)."""
+    if COMPILED and len(poses.R) == 1:
+        R, t, centre, points = (plain(array[0]) for array in (poses.R, poses.t, poses.centre, lattice))
+        x, J, d_uv = pose_kernels.jacobians(R, t, float(poses.log_aspect[0]), centre, points)
+        return x[None], J[None], d_uv[None]
     x, arm, depth = projected(poses, lattice)
     inverse = 1.0 / depth
     B, N = depth.shape

@@ -18,7 +18,7 @@ def undone_perspective(fit: FitResult) -> str:
     The picture shows them evenly spaced, although the panel is tilted and its gaps differ.
     """
     for axis, lines, name in ((0, fit.row_positions, "rows"), (1, fit.column_positions, "columns")):
-        used = np.unique(fit.cells[fit.cells[:, 0] >= 0][:, axis])
+        used = np.flatnonzero(np.bincount(fit.cells[fit.cells[:, 0] >= 0, axis]))
         if len(used) <= _GAPS:
             continue
         along = np.nanmean(np.moveaxis(fit.grid_px, axis, 0)[used], axis=1)

@@ -63,8 +63,9 @@ def chosen(places: Places, on: BoolArray) -> Places:
 def boxes_of(fit: LayoutFit, rays: Array, sigma: float) -> Boxes:
     """Return the filled nodes of a fit to detections at rays (N, 2)."""
     on = fit.inlier > 0.5
-    node, place, count = np.unique(fit.node[on], return_inverse=True, return_counts=True)
-    mean = np.column_stack([np.bincount(place, rays[on, k]) / count for k in (0, 1)])
+    count = np.bincount(fit.node[on])
+    node = np.flatnonzero(count)
+    mean = np.column_stack([np.bincount(fit.node[on], rays[on, k])[node] / count[node] for k in (0, 1)])
     return Boxes(node, mean, sigma)
 
 

@@ -224,8 +224,9 @@ def with_overlapping(fit: LayoutFit, usable: Usable, measured: MeasuredFit) -> L
     lattice = fit.layout.nodes.reshape(-1, 2)[fit.node]
     predicted, _, d_uv = jacobians(fit.pose, lattice[None])
     off = np.linalg.solve(d_uv[0], (usable.rays - predicted[0])[..., None])[..., 0] / measured.half
-    shown = np.isin(fit.node, measured.places.node[measured.places.seen])
-    on = shown & (np.hypot(*off.T) < _ON_BUTTON)
+    shown = np.zeros(len(fit.layout.nodes.reshape(-1, 2)), dtype=bool)
+    shown[measured.places.node[measured.places.seen]] = True
+    on = shown[fit.node] & (np.hypot(*off.T) < _ON_BUTTON)
     return replace(fit, inlier=np.where(on, 1.0, fit.inlier))
 
 

@@ -85,7 +85,9 @@ def measure(
     half = _half_size(fit, sizes_px, camera)
     window, reduction = window_of(half, _px_per_pitch(fit, boxes, camera))
     picture = picture_of(image, camera, reduction)
-    more = np.setdiff1d(np.arange(fit.layout.nodes.size // 2), boxes.node)
+    boxed = np.zeros(fit.layout.nodes.size // 2, dtype=bool)
+    boxed[boxes.node] = True
+    more = np.flatnonzero(~boxed)
     result, scatter = None, config.measurement.scatter_pitch
     for number, (blur, coarser, steps) in enumerate(stages):
         samples = window.coarser(coarser)
