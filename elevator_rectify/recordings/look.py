@@ -168,7 +168,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("pictures", type=Path, nargs="+", help="photographs of panels")
     parser.add_argument("--press", default="", metavar="LABEL", help="say where this button is")
     add_calibration(parser)
-    parser.add_argument("--pitch-m", type=positive, help="distance of two columns in metres, for the scale")
+    parser.add_argument("--pitch-m", type=positive, help="metres between neighbouring buttons of a row: the scale")
     parser.add_argument("--output", type=Path, default=Path("out/look"), help="folder for the pictures")
     options = parser.parse_args(arguments)
     try:

@@ -124,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     add_source(parser)
     parser.add_argument("-o", "--output", type=Path, default=Path("panel.yaml"), help="the panel file")
     parser.add_argument("--name", default="", help="the panel's name; default: the file's")
-    parser.add_argument("--pitch-m", type=positive, help="distance of two columns in metres, for the scale")
+    parser.add_argument("--pitch-m", type=positive, help="metres between neighbouring buttons of a row: the scale")
     parser.add_argument("--pitch-std-m", type=positive, default=0.0005, help="its standard deviation")
     return parser
 
