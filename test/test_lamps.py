@@ -13,7 +13,9 @@ from elevator_rectify.core.geometry.same_places import same_places
 from elevator_rectify.core.lamps.change import exposure, features, lit_share
 from elevator_rectify.core.lamps.patches import Patches, patches_of
 from elevator_rectify.core.lamps.watch import (
+    JUDGED,
     REFERENCES,
+    Sight,
     Watch,
     confirmed,
     ended,
@@ -111,6 +113,30 @@ def test_a_finger_on_the_button_is_no_lamp(seed: int) -> None:
     state = watch(*3 * [seen(covered, hidden="7")])
     assert confirmed(state) is None
     assert (ended(state).status, "hidden" in ended(state).reason) == ("unseen", True)
+
+
+@pytest.mark.parametrize(
+    ("sight", "is_confirmed"),
+    [
+        (Sight(5.0, 4.0), True),
+        (Sight(5.0, 2.0), False),
+        (Sight(7.0, 1.5), True),
+        (Sight(2.5, 7.0), False),
+        (Sight(7.0), True),
+        (Sight(5.0), False),
+    ],
+)
+def test_a_change_is_confirmed_that_looks_like_a_lamp(sight: Sight, is_confirmed: bool) -> None:
+    state = Watch("7", sights=(sight,) * JUDGED, frames=JUDGED)
+    assert (confirmed(state) is not None) == is_confirmed
+    if not is_confirmed:
+        assert ended(replace(state, references=3 * (seen(picture()),))).status == "unseen"
+
+
+def test_frames_alone_are_asked_only_where_something_changed() -> None:
+    dark, lit = seen(picture()), seen(picture(frozenset({NUMBER})))
+    state = watch(dark, lit)
+    assert np.isnan(state.sights[0].lit) and np.isfinite(state.sights[1].lit)
 
 
 def test_a_panel_that_is_left_is_told_in_the_end_and_what_hides_it_is_waited_for() -> None:

@@ -9,13 +9,17 @@ import numpy as np
 
 from elevator_rectify.core.geometry.same_places import same_places
 from elevator_rectify.core.lamps.change import features, lamp_log_odds, lit_share
+from elevator_rectify.core.lamps.lit import lit_log_odds
 from elevator_rectify.core.lamps.patches import Patches
 from elevator_rectify.core.types import Array, IntArray
 
 # So many frames before the press are kept, and so many after it judged: the last ones that show the button.
 REFERENCES, JUDGED = 3, 5
-# Of these so many must be sure that the lamp went on, by log odds, and their mean too.
-_AGREEING, _LIT = 3, 3.0
+# Of these so many must be sure that the lamp went on, by log odds, and their mean too; with the mean log odds that the
+# lamp is lit, by each of them alone, they are more than that together: a finger changes as much, and looks otherwise.
+_AGREEING, _LIT, _CHANGED_AND_LIT = 3, 3.0, 8.0
+# What counts as said by a frame that says nothing alone: a grey one, or one with too few buttons.
+_UNKNOWN_LIT = 2.0
 # It surely did not go on below this mean.
 _NOT_LIT = -2.0
 # Of lamps that went on so many change nothing that is seen (white on white, a small dot): against that no frame helps.
@@ -34,10 +38,13 @@ ALL_LIT, _ALL_LIT_SHARE = "the lamps of most buttons went on", 0.6
 
 @dataclass(frozen=True)
 class Sight:
-    """What one frame says of the button: the log odds that its lamp went on, or why nothing can be said; panel: whether
-    its panel is seen."""
+    """What one frame says of the button: the log odds that its lamp went on, or why nothing can be said.
+
+    lit: those that it is lit, by this frame alone, where it may have gone on; panel: whether its panel is seen.
+    """
 
     log_odds: float = float("nan")
+    lit: float = float("nan")
     problem: str = ""
     panel: bool = True
 
@@ -106,7 +113,9 @@ def _sight(watch: Watch, now: Patches) -> Sight:
     if not known:
         problem = next(x for x in found if isinstance(x, str))
         return Sight(problem=problem, panel=problem != ANOTHER)
-    return Sight(float(np.clip(min(known), -_LARGEST, _LARGEST)))
+    odds = float(np.clip(min(known), -_LARGEST, _LARGEST))
+    lit = float(lit_log_odds(now)[now.labels.index(watch.label)]) if odds > _LIT else float("nan")
+    return Sight(odds, lit)
 
 
 def changed(before: Patches, now: Patches, label: str) -> Array | str:
@@ -132,11 +141,13 @@ def _chosen(patches: Patches, which: IntArray) -> Patches:
 def confirmed(watch: Watch) -> Pressed | None:
     """Return the answer that can be given at once, None where more frames are needed."""
     last = _last(watch)
-    if len(last) >= _AGREEING and last[-1] > 0 and sum(odds > _LIT for odds in last) >= _AGREEING:
-        mean = float(np.mean(last))
-        if mean > _LIT:
-            return Pressed("confirmed", f"the lamp of {watch.label} went on", _probability(mean))
-    return None
+    mean, lit = _mean_odds(last), [sight.lit for sight in last if sight.log_odds > _LIT]
+    if len(lit) < _AGREEING or last[-1].log_odds <= 0 or mean <= _LIT:
+        return None
+    alone = float(np.mean(np.nan_to_num(lit, nan=_UNKNOWN_LIT)))
+    if mean + alone <= _CHANGED_AND_LIT:
+        return None
+    return Pressed("confirmed", f"the lamp of {watch.label} went on", _probability(mean))
 
 
 def ended(watch: Watch) -> Pressed:
@@ -154,8 +165,8 @@ def ended(watch: Watch) -> Pressed:
     if len(last) < _AGREEING:
         why = watch.sights[-1].problem if watch.sights else ""
         return Pressed("unseen", f"{len(last)} frames show {watch.label} since{': ' + why if why else ''}")
-    mean, lit = float(np.mean(last)), sum(odds > _LIT for odds in last)
-    if min(lit, sum(odds < _NOT_LIT for odds in last)) >= _BLINKS:
+    mean, lit = _mean_odds(last), sum(sight.log_odds > _LIT for sight in last)
+    if min(lit, sum(sight.log_odds < _NOT_LIT for sight in last)) >= _BLINKS:
         reason = f"{lit} of {len(last)} frames show the lamp of {watch.label} lit, others dark"
         return Pressed("blinks", reason, _probability(mean))
     if mean < _NOT_LIT:
@@ -164,8 +175,12 @@ def ended(watch: Watch) -> Pressed:
     return Pressed("unseen", f"what is seen of {watch.label} tells neither", _probability(mean))
 
 
-def _last(watch: Watch) -> list[float]:
-    return [s.log_odds for s in watch.sights if s.seen][-JUDGED:]
+def _last(watch: Watch) -> list[Sight]:
+    return [sight for sight in watch.sights if sight.seen][-JUDGED:]
+
+
+def _mean_odds(sights: list[Sight]) -> float:
+    return float(np.mean([sight.log_odds for sight in sights])) if sights else float("nan")
 
 
 def _probability(log_odds: float) -> float:
