@@ -120,7 +120,8 @@ def test_a_finger_on_the_button_is_no_lamp(seed: int) -> None:
     [
         (Sight(5.0, 4.0), True),
         (Sight(5.0, 2.0), False),
-        (Sight(7.0, 1.5), True),
+        (Sight(7.0, 2.0), True),
+        (Sight(7.0, 1.0), False),
         (Sight(2.5, 7.0), False),
         (Sight(7.0), True),
         (Sight(5.0), False),

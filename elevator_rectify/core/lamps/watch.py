@@ -15,9 +15,10 @@ from elevator_rectify.core.types import Array, IntArray
 
 # So many frames before the press are kept, and so many after it judged: the last ones that show the button.
 REFERENCES, JUDGED = 3, 5
-# Of these so many must be sure that the lamp went on, by log odds, and their mean too; with the mean log odds that the
-# lamp is lit, by each of them alone, they are more than that together: a finger changes as much, and looks otherwise.
-_AGREEING, _LIT, _CHANGED_AND_LIT = 3, 3.0, 8.0
+# Of these so many must be sure that the lamp went on, by log odds, and their mean too. Together with so many times the
+# mean log odds that it is lit, by each of them alone, that is more than the last: a finger changes as much, but looks
+# otherwise.
+_AGREEING, _LIT, _LIT_WEIGHT, _CHANGED_AND_LIT = 3, 3.0, 1.5, 9.3
 # What counts as said by a frame that says nothing alone: a grey one, or one with too few buttons.
 _UNKNOWN_LIT = 2.0
 # It surely did not go on below this mean.
@@ -145,7 +146,7 @@ def confirmed(watch: Watch) -> Pressed | None:
     if len(lit) < _AGREEING or last[-1].log_odds <= 0 or mean <= _LIT:
         return None
     alone = float(np.mean(np.nan_to_num(lit, nan=_UNKNOWN_LIT)))
-    if mean + alone <= _CHANGED_AND_LIT:
+    if mean + _LIT_WEIGHT * alone <= _CHANGED_AND_LIT:
         return None
     return Pressed("confirmed", f"the lamp of {watch.label} went on", _probability(mean))
 
