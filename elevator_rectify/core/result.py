@@ -153,10 +153,7 @@ def sideways_std(found: FitResult) -> float:
 
     An error of the camera's calibration moves all cells alike: none is taken for its neighbour by it.
     """
-    filled = np.zeros((found.rows, found.columns), dtype=bool)
-    row, column = found.cells[found.cells[:, 0] >= 0].T
-    filled[row, column] = True
-    places = found.grid_panel[filled]
+    places = found.grid_panel[found.filled]
     point = places @ found.R_camera_panel[:, :2].T + found.t_camera_panel
     sight = point / np.linalg.norm(point, axis=1, keepdims=True)
     across = np.eye(3) - sight[:, :, None] * sight[:, None, :]

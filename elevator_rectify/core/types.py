@@ -124,8 +124,10 @@ class FitResult:
 
     Lengths are in metres where the column pitch is known, else in column pitches (`metric` tells): the distance of two
     neighbouring buttons in a row. They are `apart` columns of the lattice apart: 2 where one column of floors stands
-    above the middle of a pair. The panel frame
-    has x along a row to the right, y down a column, z into the panel; its origin is the centre of cell (0, 0).
+    above the middle of a pair.
+
+    The panel frame has x along a row to the right, y down a column, z into the panel; its origin is the centre of cell
+    (0, 0).
     Where no pose was found, the geometry is NaN; where one was found but refused, it is the refused one.
 
     row_positions, column_positions: in pitches; a staggered row is half a pitch to the right, a staggered column half
@@ -193,6 +195,13 @@ class FitResult:
     def ok(self) -> bool:
         """Tell whether the pose may be used."""
         return self.status == "ok"
+
+    @property
+    def filled(self) -> BoolArray:
+        """Return (rows, columns) which cells have a detection."""
+        filled = np.zeros((self.rows, self.columns), dtype=bool)
+        filled[tuple(self.cells[self.cells[:, 0] >= 0].T)] = True
+        return filled
 
     @property
     def column_pitch(self) -> float:

@@ -31,12 +31,10 @@ def with_common_errors(fit: FitT, config: JointConfig) -> FitT:
     their distance from the axis. What that does to a pose is the least-squares response of the filled cells' places
     (Hartley and Zisserman, 5.2: propagation of errors through a fit).
     """
-    filled = np.zeros((fit.rows, fit.columns), dtype=bool)
-    filled[tuple(fit.cells[fit.cells[:, 0] >= 0].T)] = True
-    row, column = np.nonzero(filled)
-    if not len(row) or not np.isfinite(fit.covariance).all():
+    filled = fit.filled
+    if not filled.any() or not np.isfinite(fit.covariance).all():
         return fit
-    places = fit.grid_panel[row, column]
+    places = fit.grid_panel[filled]
     stds = np.array([config.focal_std_share, config.radial_std])
     response = np.column_stack([_response(fit, places) * stds, _mistaken(fit, places)])
     covariance = fit.covariance + response[:6] @ response[:6].T
